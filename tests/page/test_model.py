@@ -1,5 +1,6 @@
 """The page's functions in V8, against the package."""
 
+import base64
 import json
 import math
 from dataclasses import replace
@@ -96,8 +97,9 @@ class Page:
         for name in ("model.js", "maps.js", "holes.js", "like.js"):
             self.engine.eval((folder / name).read_text().replace("export ", ""))
         self.engine.eval(f"const tables = {json.dumps(tables())}")
-        weights = list(cue.WEIGHTS.read_bytes())
-        self.engine.eval(f"const layers = layersOf(tables.cue.layers, Uint8Array.from({weights}))")
+        weights = list(base64.b64decode(tables()["cue"]["weights"]))
+        layers = f"layersOf(tables.cue.shapes, Uint8Array.from({weights}))"
+        self.engine.eval(f"const cue = {{ ...tables.cue, layers: {layers} }}")
         rng = np.random.default_rng(3)
         blocks = rng.integers(0, 256, (3, HEIGHT // 8, WIDTH // 4)).repeat(8, 1).repeat(4, 2)
         noisy = (blocks + rng.integers(-20, 20, blocks.shape)).clip(0, 255)
@@ -302,10 +304,11 @@ def test_small_maps_are_brought_to_size_as_in_the_package(page: Page) -> None:
 
 
 def test_the_network_of_made_up_distances_says_what_it_says_in_the_package(page: Page) -> None:
-    picture = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0))
+    picture = torch.rand(3, 64, 96, generator=torch.Generator().manual_seed(0))
     page.engine.eval(f"const planes = Float32Array.from({picture.flatten().tolist()})")
-    shown = page("Array.from(guessed({ height: 48, width: 64, values: planes }, layers).values)")
-    answer = cue.answer(picture[None], cue.layers_of(cue.learnt()))
+    shown = page("Array.from(guessed({ height: 64, width: 96, values: planes }, cue).values)")
+    convolve = cue.layers_of(cue.learnt())
+    answer = cue.decoded(cue.encoded(picture[None], convolve), convolve)
     torch.testing.assert_close(torch.tensor(shown), answer.flatten(), rtol=1e-4, atol=1e-4)
 
 
@@ -318,7 +321,7 @@ def test_made_up_distances(page: Page) -> None:
     page.engine.eval(f"const drawn = Uint8Array.from({picture.ravel().tolist()})")
 
     def made(seed: int) -> np.ndarray[Any, Any]:
-        made_up = f"madeUp(drawn, {width}, {height}, randomOf({seed}), layers)"
+        made_up = f"madeUp(drawn, {width}, {height}, randomOf({seed}), cue)"
         shown = page(f"Array.from({made_up}, z => z < Infinity ? z : 1e9)")
         return np.array(shown).reshape(height, width)
 

@@ -13,6 +13,7 @@ from torch.nn.functional import interpolate
 from uwaug._support import checks, codec
 from uwaug._support.nouns import Drawn
 from uwaug._support.onnx_session import Session
+from uwaug.distance.hub import NAMED, fetched, hub_file
 from uwaug.distance.sizes import require_aspect
 from uwaug.distance.sources import Inverse, Source
 
@@ -29,7 +30,8 @@ class Network(Source):
     """Monocular depth network, for pictures without maps, or to call.
 
     Its errors become wrong colours, and it runs for every picture. Where pictures come again, keep
-    its maps in files.
+    its maps in files. A network of the Hugging Face hub is fetched once, when it is named, into
+    that library's cache.
 
     An ONNX file must take one picture, (1, 3, h, w) or (1, h, w, 3), and give (1, h', w'),
     (1, 1, h', w') or (1, h', w', 1) first, as exports of MiDaS, DPT and Depth Anything do. It may
@@ -37,8 +39,8 @@ class Network(Source):
     DataLoader worker opens its own.
 
     Attributes:
-        model: path of an ONNX file, or a function of a picture (3xHxW, sRGB in 0…1) that gives a
-            map (1xHxW).
+        model: path of an ONNX file; "depth-anything-v2-small" or "owner/name:file" of the hub; or a
+            function of a picture (3xHxW, sRGB in 0…1) that gives a map (1xHxW).
         holds: meaning of its maps: `Inverse`, `Relative` or `Metres`.
         short_side: short side of the input, px, where the file leaves it free.
         multiple: the sides of the input are multiples of it: the patch size, 14 for Depth Anything,
@@ -47,13 +49,18 @@ class Network(Source):
             default. A file of bytes gets them as they are.
         bgr: blue comes first; also where the file's metadata say so (`Image.BitmapPixelFormat`).
         providers: ONNX Runtime's execution providers.
+        revision: commit, branch or tag of a repository of the hub; one that was tried by default
+            for a name, the newest for "owner/name:file".
 
     Raises:
-        FileNotFoundError: there is no file at that path.
-        ValueError: `short_side` or `multiple` is not positive.
+        FileNotFoundError: there is no file at that path, or on the hub.
+        ConnectionError, PermissionError, ImportError: the hub does not give the file; says the
+            cure.
+        ValueError: `short_side` or `multiple` is not positive, or a file or a function gets a
+            revision.
 
     Examples:
-        >>> network = Network("depth_anything_v2_vits.onnx")  # doctest: +SKIP
+        >>> network = Network("depth-anything-v2-small")  # doctest: +SKIP
         >>> distance = from_inverse(network(image), near=0.5, far=10.0)  # doctest: +SKIP
     """
 
@@ -68,19 +75,35 @@ class Network(Source):
     std: Sequence[float] = (0.229, 0.224, 0.225)
     bgr: bool = False
     providers: Sequence[str] = ("CPUExecutionProvider",)
+    revision: str | None = None
     _session: Session | None = field(init=False, repr=False, compare=False, default=None)
 
     def __post_init__(self) -> None:
         checks.instance("holds", self.holds, Source)
         if callable(self.model):
             return
-        if not Path(self.model).is_file():
-            raise FileNotFoundError(f"model must be an ONNX file, got {self.model}: no such file")
         if self.short_side < 1 or self.multiple < 1:
             got = f"got {self.short_side} and {self.multiple}"
             raise ValueError(f"short_side and multiple must be at least 1, {got}")
-        session = Session(self.model, threads=None, providers=self.providers)
+        session = Session(self._path(), threads=None, providers=self.providers)
         object.__setattr__(self, "_session", session)
+
+    def _path(self) -> Path:
+        path = Path(cast(str, self.model))
+        if path.is_file():
+            if self.revision is not None:
+                raise ValueError(f"revision is of the hub; {path} is a file: leave it out")
+            return path
+        file = hub_file(str(self.model), self.revision)
+        if file is None:
+            expected = f"an ONNX file, {', '.join(NAMED)}, or owner/name:file of the hub"
+            raise FileNotFoundError(f"model must be {expected}; got {self.model}: no such file")
+        return fetched(file)
+
+    @property
+    def file(self) -> Path | None:
+        """Path of the ONNX file; None for a function."""
+        return self._session.path if self._session else None
 
     def reach(self) -> tuple[float, float] | None:
         """See `Source.reach`."""

@@ -63,7 +63,7 @@ class _Maps(Work):
         super().__init__(out, resume=resume, force=force)
         self.network = network
         self._plain = codec.to_plain(network)
-        self._plain["model"] = digest(Path(self._plain["model"]))
+        self._plain["model"] = digest(network.file or Path())
 
     def made_of(self, job: Job) -> dict[str, Any]:
         return {**super().made_of(job), "network": self._plain}

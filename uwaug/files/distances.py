@@ -6,6 +6,12 @@ from typing import Any, NamedTuple
 
 from uwaug._support.ranges import read_range
 
+WORDS: dict[str, dict[str, Any]] = {
+    "made-up": {"kind": "MadeUp"},
+    "depth-anything": {"kind": "Network", "model": "depth-anything-v2-small"},
+}
+"""Distances from pictures alone, by word: sources as plain values."""
+
 _FILM_PLANE_M = (1.0, 5.0)  # least and largest distance of the plane that a film without maps is
 
 
@@ -34,8 +40,8 @@ def distances_of(
     """Choose the distances of a run by its options; refuses metres with options of maps.
 
     Args:
-        distance: a file, a folder or a pattern, see `find_items`; else metres, as 3 or 1:5, or
-            "made-up"; None if not given.
+        distance: a file, a folder or a pattern, see `find_items`; else metres, as 3 or 1:5, or a
+            word of `WORDS`; None if not given.
         source: plain value of `RandomUnderwater(distance=…)`; None if not given.
         unit, holes: as for `Recipe` and `Metres`; any but the defaults are of maps.
         sequence: True if pictures are frames of films.
@@ -48,9 +54,9 @@ def distances_of(
                 cure = "unit, holes and distance.… are of maps; leave them out"
                 raise ValueError(f"distance is {distance} m for all of a picture: {cure}")
             return Distances(plane, None)
-        if distance == "made-up":
+        if distance in WORDS:
             options = source if isinstance(source, Mapping) else {}
-            return Distances({**options, "kind": "MadeUp"}, None)
+            return Distances({**options, **WORDS[distance]}, None)
     if distance is not None or has_options:
         if source is None or isinstance(source, Mapping):
             options = {} if holes == "error" else {"holes": holes}
@@ -67,4 +73,4 @@ def distances_of(
         "Without --distance, distances are guessed from each picture: good to look at and to train "
         "with, not to measure or restore by."
     )
-    return Distances({"kind": "MadeUp"}, None, note)
+    return Distances(WORDS["made-up"], None, note)

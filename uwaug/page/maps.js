@@ -90,32 +90,67 @@ export function metresOf(map, width, height, { holds, unit, near, far, holes }) 
   return metres;
 }
 
-/** The layers of uwaug.distance.cue, which guesses distances: kernels and biases, from bytes of float16. */
-export function layersOf(layers, bytes) {
+/** The layers of uwaug.distance.cue, which guesses distances: kernels and biases by name, from bytes of float16. */
+export function layersOf(shapes, bytes) {
   const numbers = Float32Array.from(new Uint16Array(bytes.buffer), h => {
     const exponent = h >> 10 & 31, size = exponent ? (1024 + (h & 1023)) * 2 ** (exponent - 25) : (h & 1023) * 2 ** -24;
     return h >> 15 ? -size : size;
   });
   let start = 0;
   const next = count => numbers.subarray(start, start += count);
-  return Object.fromEntries(layers.map(([name, before, after, side, rectified]) =>
-    [name, { before, after, side, rectified, kernel: next(before * after * side * side), bias: next(after) }]));
+  return Object.fromEntries(shapes.map(([name, after, before, side]) =>
+    [name, { after, before, side, kernel: next(after * before * side * side), bias: next(after) }]));
 }
 
-/** A stack of planes {height, width, values} through a layer. */
-function convolved({ height, width, values }, { before, after, side, rectified, kernel, bias }, stride = 1) {
-  const h = Math.ceil(height / stride), w = Math.ceil(width / stride), reach = side >> 1, out = new Float32Array(after * h * w);
+const relu = x => Math.max(x, 0), silu = x => x / (1 + Math.exp(-x));
+
+/** A stack of planes {height, width, values} through a layer; with kernels of one plane, each plane has its own. */
+function convolved({ height, width, values }, { after, before, side, kernel, bias }, stride = 1) {
+  const around = (side - 1) >> 1, size = of => Math.floor((of + 2 * around - side) / stride) + 1;
+  const h = size(height), w = size(width), out = new Float32Array(after * h * w);
+  const isApart = before === 1 && values.length > height * width;
   for (let o = 0, k = 0; o < after; o++) {
     out.fill(bias[o], o * h * w, (o + 1) * h * w);
-    for (let i = 0; i < before; i++) for (let v = -reach; v <= reach; v++) for (let u = -reach; u <= reach; u++) {
+    for (let i = 0; i < before; i++) for (let v = -around; v < side - around; v++) for (let u = -around; u < side - around; u++) {
       const weight = kernel[k++], first = Math.ceil(Math.max(-u, 0) / stride), last = Math.min(w, Math.floor((width - 1 - u) / stride) + 1);
       for (let y = Math.ceil(Math.max(-v, 0) / stride); y < h && y * stride + v < height; y++) {
-        const to = (o * h + y) * w, from = (i * height + y * stride + v) * width + u;
+        const to = (o * h + y) * w, from = ((isApart ? o : i) * height + y * stride + v) * width + u;
         for (let x = first; x < last; x++) out[to + x] += weight * values[from + x * stride];
       }
     }
   }
-  return { height: h, width: w, values: rectified ? out.map(value => Math.max(value, 0)) : out };
+  return { height: h, width: w, values: out };
+}
+
+const through = (f, x) => ({ ...x, values: x.values.map(f) });
+const added = (a, b) => ({ ...a, values: a.values.map((value, i) => value + b.values[i]) });
+
+/** Stacks of one size, one upon the other. */
+function joined(...stacks) {
+  const values = new Float32Array(stacks.reduce((count, stack) => count + stack.values.length, 0));
+  let start = 0;
+  for (const stack of stacks) {
+    values.set(stack.values, start);
+    start += stack.values.length;
+  }
+  return { ...stacks[0], values };
+}
+
+/** The two halves of a stack. */
+function halves(x) {
+  const middle = x.values.length / 2;
+  return [x.values.subarray(0, middle), x.values.subarray(middle)].map(values => ({ ...x, values }));
+}
+
+/** The largest value of a window of 2r + 1 px along rows and columns. */
+function largest({ height, width, values }, r) {
+  const along = (from, stride, length) => from.map((_, i) => {
+    const at = Math.floor(i / stride) % length;
+    let most = -Infinity;
+    for (let n = Math.max(at - r, 0); n <= Math.min(at + r, length - 1); n++) most = Math.max(most, from[i + (n - at) * stride]);
+    return most;
+  });
+  return { height, width, values: along(along(values, 1, width), width, height) };
 }
 
 /** Twice as high and wide, linear between the middles of pixels. */
@@ -129,36 +164,57 @@ function doubled({ height, width, values }) {
   return { height: 2 * height, width: 2 * width, values: out };
 }
 
-/** How far (in the logarithm, up to scale) and how open (a logit) each place of a small picture is (planes of 0…1). */
-export function guessed({ height, width, values }, layers) {
-  const n = height * width, input = new Float32Array(5 * n);
-  for (let i = 0; i < 3 * n; i++) input[i] = 4 * (values[i] - 0.45);
-  for (let p = 0; p < n; p++) {
-    input[3 * n + p] = 2 * Math.floor(p / width) / (height - 1) - 1;
-    input[4 * n + p] = 2 * (p % width) / (width - 1) - 1;
+/** Features of a small picture (planes of 0…1, sides multiples of 32) at 1/2 to 1/32 of its size. */
+function encoded(picture, { layers, stages, pooled }) {
+  const layer = (name, x, stride) => through(silu, convolved(x, layers[name], stride));
+  const separable = (name, x, stride) => layer(name + ".points", layer(name + ".window", x, stride));
+  let x = layer("stem", picture, 2);
+  const features = [x];
+  for (const [stage, blocks] of Object.entries(stages)) {
+    x = separable(stage + ".down", x, 2);
+    if (stage === "d5") {
+      x = layer("d5.pooled.in", x);
+      x = layer("d5.pooled.out", joined(x, ...pooled.map(side => largest(x, side >> 1))));
+    }
+    let [deep, passed] = halves(layer(stage + ".split", x));
+    for (let block = 0; block < blocks; block++) {
+      const change = separable(`${stage}.${block}`, layer(`${stage}.${block}.in`, deep));
+      deep = stage === "d5" ? change : added(deep, change);
+    }
+    x = layer(stage + ".joined", joined(deep, passed));
+    features.push(x);
   }
-  const finer = [];
-  let x = { height, width, values: input };
-  for (const name of ["half", "quarter", "eighth", "sixteenth"]) {
-    x = convolved(convolved(x, layers[name + 1], 2), layers[name + 2]);
-    finer.unshift([name, x]);
-  }
-  const size = x.height * x.width, planes = Array.from({ length: layers.whole.before }, (_, c) => x.values.subarray(c * size, (c + 1) * size));
-  const means = Float32Array.from(planes, plane => plane.reduce((total, value) => total + value, 0) / size);
-  const { values: whole } = convolved({ height: 1, width: 1, values: means }, layers.whole);
-  x = { ...x, values: x.values.map((value, i) => value + whole[Math.floor(i / size)]) };
-  for (const [name, like] of finer.slice(1)) {
-    const wide = doubled(convolved(x, layers["to_" + name]));
-    x = convolved({ ...wide, values: wide.values.map((value, i) => Math.max(value + like.values[i], 0)) }, layers["at_" + name]);
+  return features;
+}
+
+/** The logarithm of the distance, up to scale and shift, and the logit of open water at half the size of a small picture. */
+export function guessed(picture, cue) {
+  const features = encoded(picture, cue), { layers } = cue, last = features.length - 1;
+  const sides = features.map((feature, level) => {
+    const { height, width } = feature, even = (at, count) => count > 1 ? 2 * at / (count - 1) - 1 : -1;
+    const plane = of => ({ height, width, values: Float32Array.from({ length: height * width }, (_, p) => of(p)) });
+    const down = plane(p => even(Math.floor(p / width), height)), across = plane(p => even(p % width, width));
+    return convolved(joined(feature, down, across), layers["side" + level]);
+  });
+  const means = features.slice(-2).reverse().flatMap(({ height, width, values }) =>
+    Array.from({ length: values.length / (height * width) }, (_, c) =>
+      values.subarray(c * height * width, (c + 1) * height * width).reduce((total, value) => total + value, 0) / (height * width)));
+  const small = through(relu, convolved({ height: 1, width: 1, values: Float32Array.from(means) }, layers["whole.in"]));
+  const { values: whole } = convolved(small, layers["whole.out"]), size = sides[last].height * sides[last].width;
+  let x = added(sides[last], { values: sides[last].values.map((_, i) => whole[Math.floor(i / size)]) });
+  x = through(relu, convolved(through(relu, x), layers["at" + last]));
+  for (let level = last - 1; level >= 0; level--) {
+    const finer = doubled(convolved(x, layers["up" + level]));
+    x = through(relu, convolved(through(relu, added(finer, sides[level])), layers["at" + level]));
   }
   return convolved(x, layers.answer);
 }
 
 /** Distances [m] made up from a picture (RGBA bytes), in the way of uwaug.distance.MadeUp: what the network
  *  guesses, with an exponent, a smooth field and open water (in three of four pictures) drawn on top. */
-export function madeUp(pixels, width, height, random, layers, near = 1, far = 8) {
-  const shrink = Math.sqrt(12288 / (width * height));
-  const [H, W] = [height, width].map(side => Math.min(Math.max(16 * Math.round(side * shrink / 16), 16), 512));
+export function madeUp(pixels, width, height, random, cue, near = 1, far = 8) {
+  const shrink = Math.sqrt(cue.pixels / (width * height));
+  const [H, W] = [height, width].map(side => Math.min(Math.max(32 * Math.round(side * shrink / 32), 32), 512));
   const area = { height: H, width: W, values: new Float32Array(3 * H * W) }, h = H / 2, w = W / 2, n = h * w;
   for (let c = 0, i = 0; c < 3; c++) for (let y = 0; y < H; y++) for (let x = 0; x < W; x++) {
     const [top, left] = [Math.floor(y * height / H), Math.floor(x * width / W)];
@@ -168,7 +224,7 @@ export function madeUp(pixels, width, height, random, layers, near = 1, far = 8)
     area.values[i++] = total / (bottom - top) / (right - left) / 255;
   }
   const mirrored = ({ width, values }) => values.map((_, i) => values[i - i % width + width - 1 - i % width]);
-  const one = guessed(area, layers), other = guessed({ ...area, values: mirrored(area) }, layers);
+  const one = guessed(area, cue), other = guessed({ ...area, values: mirrored(area) }, cue);
   const answer = mirrored(other).map((value, i) => (value + one.values[i]) / 2), ramp = random() < 0.1;
   let log = ramp ? Float32Array.from({ length: n }, (_, p) => -Math.floor(p / w)) : answer.subarray(0, n);
   const chance = Float32Array.from({ length: n }, (_, p) => ramp ? 0 : 1 / (1 + Math.exp(-answer[n + p])));

@@ -101,13 +101,25 @@ def tables() -> dict[str, Any]:
         "plan": _plan(plan_of_page()),
         "draws": _draws(),
         "appearance": WATER_FEATURES,
-        "cue": {
-            "layers": [(name, *size, cue.is_rectified(name)) for name, size in cue.LAYERS.items()],
-            "weights": base64.b64encode(cue.WEIGHTS.read_bytes()).decode(),
-        },
+        "cue": _cue(),
     }
     plain: dict[str, Any] = to_plain(_rounded(stored))
     return plain
+
+
+def _cue() -> dict[str, Any]:
+    """The network of `uwaug.distance.cue`: (name, channels out, channels in, side) of each kernel,
+    and all numbers in turn as float16.
+    """
+    layers = cue.learnt()
+    numbers = torch.cat([part.flatten() for layer in layers.values() for part in layer])
+    return {
+        "shapes": [(name, *kernel.shape[:3]) for name, (kernel, _) in layers.items()],
+        "weights": base64.b64encode(numbers.numpy().astype("<f2").tobytes()).decode(),
+        "stages": cue.STAGES,
+        "pooled": cue.POOLED_PX,
+        "pixels": cue.PIXELS,
+    }
 
 
 def _spectra(water: Water) -> dict[str, Array]:

@@ -27,8 +27,8 @@ async function distancesOf({ pixels, width, height, from, seed }) {
 
 const answers = {
   open: message => {
-    const { layers, weights } = message.tables.cue;
-    tables = { ...message.tables, cue: layersOf(layers, bytesOfText(weights)) };
+    const { cue } = message.tables;
+    tables = { ...message.tables, cue: { ...cue, layers: layersOf(cue.shapes, bytesOfText(cue.weights)) } };
   },
   async scene(message, tell) {
     const { pixels, width, height } = message, distance = await distancesOf(message);
