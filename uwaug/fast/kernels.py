@@ -203,7 +203,13 @@ def tile_rows(t: Any, first: int, count: int) -> Any:
     return t[first * TILE : (first + count) * TILE]
 
 
-# ------------------------------------------------------------------------------ coarse grids
+@inner
+def clear(t: Any, first: int, count: int, n: int) -> None:
+    """Set `n` pixels of rows of a tile's memory to 0."""
+    for row in range(first, first + count):
+        d = tile_row(t, row)
+        for x in range(n):
+            d[x] = _0
 
 
 @inner
@@ -211,6 +217,9 @@ def copy(d: Any, s: Any) -> None:
     """Copy the values of `s` to the front of `d`."""
     for x in range(s.size):
         d[x] = s[x]
+
+
+# ------------------------------------------------------------------------------ coarse grids
 
 
 @inner
@@ -328,10 +337,7 @@ def _send(t: Any, z: int, sharp: int, blurred: int, at: int, lamps: Any, n: int)
     distances, e = tile_row(t, z), tile_row(t, at + 9)
     count, direct = lamps.straight.shape[0], lamps.straight_rates.size
     sums = tile_rows(t, at + 10, 6)
-    for row in range(2 * count):
-        zero = tile_row(sums, row)
-        for x in range(n):
-            zero[x] = _0
+    clear(sums, 0, 2 * count, n)
     for r in range(direct + lamps.rates.size):
         is_direct = r < direct
         rate = lamps.straight_rates[r] if is_direct else lamps.rates[r - direct]
@@ -420,10 +426,7 @@ def _scatter(t: Any, at: int, lamp: Any, lamps: Any, n: int) -> None:
     least, twice = (_1 - g) * (_1 - g), _2 * g
     s = tile_rows(t, at + 9, 9)
     way, light = tile_row(t, at + 9), tile_row(t, at + 18)
-    for r in range(lamps.rates.size):
-        total = tile_row(t, at + LAMP_ROWS + r)
-        for x in range(n):
-            total[x] = _0
+    clear(t, at + LAMP_ROWS, lamps.rates.size, n)
     for q in range(lamps.nodes.shape[1]):
         node, weight = lamps.nodes[0, q], lamps.nodes[1, q]
         for x in range(n):
@@ -450,8 +453,7 @@ def lamplight(t: Any, z: int, sharp: int, blurred: int, at: int, lamps: Any, n: 
     """
     _send(t, z, sharp, blurred, at, lamps, n)
     d, surface = tile_rows(t, at + ARRIVAL, 3), tile_rows(t, at + SURFACE, 3)
-    for x in range(n):
-        d[x] = d[x + TILE] = d[x + 2 * TILE] = _0
+    clear(d, 0, 3, n)
     mixes = lamps.arriving.shape[1] == 9
     s = tile_rows(t, at + 9, 9)
     for k in range(lamps.places.shape[0]):
@@ -758,10 +760,7 @@ def curves(t: Any, z: int, to: int, medium: Any, n: int) -> None:
     """T_β, T_G − T_β and V(0) − V of three channels in turn, from the distances in row z."""
     distances, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
     scatter, veil, d = medium.scatter, medium.veil, tile_rows(t, to, 9)
-    for row in range(9):
-        zero = tile_row(d, row)
-        for x in range(n):
-            zero[x] = _0
+    clear(d, 0, 9, n)
     for r in range(direct):
         rate = rates[r]
         a0, a1, a2 = medium.direct[0, r], medium.direct[1, r], medium.direct[2, r]
@@ -806,11 +805,11 @@ def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, n: int) -> None:
     distances, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
     X, B = tile_rows(t, sharp, 3), tile_rows(t, total, 3)
     d = tile_rows(t, sharp + 3, 3)
+    clear(d, 0, 3, n)
     for c in range(3):
-        sharper, blurred, zero = tile_row(X, c), tile_row(B, c), tile_row(d, c)
+        sharper, blurred = tile_row(X, c), tile_row(B, c)
         for x in range(n):
             sharper[x] -= blurred[x]
-            zero[x] = _0
     for r in range(direct):
         rate, w = rates[r], medium.direct
         a0, a1, a2 = w[0, r], w[1, r], w[2, r]
@@ -1012,18 +1011,17 @@ def render_rows(
                     share = tile_row(t, shares + sharp + narrow + k)
                     first = starts[k] + 3 * stack.back_first[k, y] + c
                     add_enlarged(total_row, share, grid, first, left, right, stack.back[k, y])
+            if is_lit or spectral:
+                for c in range(3):
+                    copy(tile_row(t, 1 + c), light[c, y, left:right])
             if is_lit:
                 right_of, down = tile_row(t, at_lamps), tile_row(t, at_lamps + 1)
                 for x in range(n):
                     right_of[x] = (f32(left + x) - lamps.middle[0]) * lamps.tangent
                     down[x] = (f32(y) - lamps.middle[1]) * lamps.tangent
                 copy(tile_row(t, at_lamps + METRES), metres[y, left:right])
-                for c in range(3):
-                    copy(tile_row(t, 1 + c), light[c, y, left:right])
                 lamplight(t, 0, 1, totals, at_lamps, lamps, n)
             if spectral:
-                for c in range(3):
-                    copy(tile_row(t, 1 + c), light[c, y, left:right])
                 _mix(t, 0, 1, totals, medium, n)
             else:
                 curves(t, 0, 1, medium, n)

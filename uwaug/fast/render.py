@@ -169,9 +169,9 @@ def _gains(
             light, row = lights[n % len(lights)], tables[n % len(tables)]
             maps = z[n % len(z)], metres[n % len(metres)]
             farthest = float(maps[0].max())
-            means, veil = kernels.meter(
-                light, *maps, width, farthest, points, *row, _LUMINANCE, brightness
-            )
+            view = width, farthest, points
+            arguments: Any = (light, *maps, *view, *row, _LUMINANCE, brightness)
+            means, veil = kernels.meter(*arguments)
             if has_light:
                 burnt = round(BURNT * METERED)
                 veil = float(np.partition(brightness, -burnt)[-burnt])
@@ -207,7 +207,7 @@ def _camera(
 
 
 def _decoded(image: Tensor, srgb: bool, beyond: bool) -> Tensor:
-    """Linear light of a picture, of bytes or floating point; `beyond` if not all of it is in 0…1."""
+    """Linear light of a picture of bytes or floating point; `beyond` if not all is in 0…1."""
     width = image.shape[-1]
     if image.dtype != torch.uint8:
         image = image.to(torch.float32)
@@ -264,8 +264,8 @@ _lock = Lock()
 
 
 def _in_bands(run: Callable[[int, int], None], lines: range, width: int, multiple: int = 1) -> None:
-    """Call `run(start, stop)` for bands of lines of `width` px, on as many threads as torch may use;
-    in a DataLoader's worker, on this one. A band has a multiple of `multiple` lines.
+    """Call `run(start, stop)` for bands of lines of `width` px, with a multiple of `multiple` lines
+    each: on as many threads as torch may use; in a DataLoader's worker, on this one.
     """
     threads = 1 if get_worker_info() else torch.get_num_threads()
     threads = min(threads, len(lines) * width // _LEAST)
