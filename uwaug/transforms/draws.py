@@ -11,14 +11,14 @@ Record = dict[str, Any]
 """A plain dictionary, {"samples": […]} with one for each picture, as JSON holds it."""
 
 NOUNS = ("water", "distance", "light", "development")
-"""Names of what is random about a picture, as arguments of `RandomUnderwater`."""
+"""Arguments of `RandomUnderwater` that say what is random about a picture."""
 
 
 class Draw(NamedTuple):
     """All that is random about a picture.
 
     Attributes:
-        applied: whether it is degraded at all.
+        applied: True if it is degraded at all.
         water, distance, light, development: the draw of each noun.
         measured: attributes of `Measured` that one frame of a film settles for all of them.
         moved: m by which field and snow of a film have drifted to the right.

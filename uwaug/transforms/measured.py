@@ -1,4 +1,4 @@
-"""What a draw may know of a picture."""
+"""Measurements of a picture, on which its draw may depend."""
 
 import math
 from collections.abc import Mapping
@@ -12,19 +12,19 @@ from uwaug._support import checks
 from uwaug.formation.development import metering_points
 
 SAMPLED = 2048
-"""Pixels of which the median distance is taken: it is right within 2 %."""
+"""Number of pixels of which the median distance is taken; it is right within 2 %."""
 
 
 class Measured(NamedTuple):
-    """All that a draw may know of a picture, its distances and its camera.
+    """Measurements of a picture, its distances and its camera, on which its draw may depend.
 
     Attributes:
         width: px.
         darkest, brightest: ends of the values, of 0…1.
         nearest, farthest, median: distances, m; the last two of all but open water, and infinite
             where there is nothing else.
-        metered: whether an exposure makes up for the light that is lost above the scene.
-        lamps: whether lamps shine from places in metres, which no scene may be scaled beside.
+        metered: True if an exposure makes up for the light that is lost above the scene.
+        lamps: True if lamps stand at places in metres: then no scene may be scaled.
         exposure: stops on which a meter has settled, for all frames of a film; None: to be metered.
         white_balance: factors of red, green and blue, likewise.
         moved: m by which field and snow of a film have drifted to the right.

@@ -20,9 +20,9 @@ class RandomDevelopment(Noun):
     A range is a number or (low, high), drawn uniformly.
 
     Attributes:
-        exposure: stops.
-        metered: whether they count from an automatic exposure, which keeps the mean luminance of
-            the scene. If not, pictures get as dark as it is down there.
+        exposure: stops, counted from an automatic exposure if `metered`.
+        metered: True for an automatic exposure, which keeps the mean luminance of the scene; False
+            for pictures as dark as it is down there.
         white_balance, saturation, gamut, tone: as for `uwaug.Development`.
         color_space: of pictures, "srgb" or "linear".
         noise: the sensor, a `uwaug.Sensor` whose numbers may be ranges, full_well drawn uniformly

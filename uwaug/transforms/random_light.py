@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 class Rig(NamedTuple):
-    """What lamps hang on.
+    """A mount of lamps.
 
     Attributes:
         lamps: least and largest number of them.
@@ -45,20 +45,20 @@ _OPEN_WATER_M = 8.0
 @dataclass(frozen=True, repr=False)
 class RandomLight(Noun):
     """Draws the light of each picture: daylight for most, and for some lamps near the camera, as at
-    night or where daylight hardly comes.
+    night or where hardly any daylight comes.
 
     A range is a number or (low, high), drawn uniformly.
 
     Attributes:
-        share: of the pictures that lamps light, 0…1.
-        rigs: what lamps hang on, of "vehicle" (2 to 4, above and beside), "diver" (1 or 2, on arms)
+        share: share of pictures that lamps light, 0…1.
+        rigs: mounts of lamps, of "vehicle" (2 to 4, above and beside), "diver" (1 or 2, on arms)
             and "strobe" (1 or 2, at the lens); picked with equal weight.
         daylight: factor of daylight beside the lamps, see `uwaug.Light`.
-        power: stops by which all lamps together make a white plate at the median distance brighter
-            than daylight at the surface does, in air: so do they reach the scene.
+        power: stops by which all lamps together make a white plate at the median distance, in air,
+            brighter than daylight at the surface does.
         cone: as for `uwaug.Lamp`, degrees.
-        across, down: where at the median distance the lamps aim, in shares of that distance, right
-            of the middle and below it; the view ends at .58.
+        across, down: point at the median distance at which the lamps aim, in shares of that
+            distance, right of the middle and below it; the view ends at .58.
         tint: stops by which the lamps' blue is above their red, beside daylight: −1.7 of a halogen
             lamp of 3000 K, .3 of an LED of 6500 K.
 

@@ -29,7 +29,7 @@ from uwaug.transforms.measured import Measured
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
 
 Knob = Literal["contents", "distance"]
-"""What brings a scene to its contrast: contents of the water, or the distance."""
+"""Means by which a scene is brought to its contrast: contents of the water, or the distance."""
 
 CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.35), minerals=(0.25, 4.0))
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""

@@ -60,12 +60,12 @@ class Scenes(NamedTuple):
     Attributes:
         image (3xHxW or Bx3xHxW tensor): the image as it came.
         pictures (Bx3xHxW tensor): its pictures, as a plain tensor.
-        color_space: of the pictures.
+        color_space: their colour space.
         chosen: indices of the N pictures that are in water.
         z (Nx1xHxW tensor): effective distances, m: times the medium field.
         metres (Nx1xHxW tensor): distances without the field, m.
         settings: water, light and camera of each of the N.
-        alike: whether all have one law of widths, and are metered or none is.
+        alike: True if all have one law of widths, and are metered or none is.
     """
 
     image: Tensor
@@ -108,7 +108,7 @@ class Scenes(NamedTuple):
         a batch; 1 where there is no water.
 
         Args:
-            step: of every so many rows and columns, one is looked at.
+            step: rows and columns from one sample to the next.
         """
         shares = list(torch.ones_like(self.pictures[:, :1, ::step, ::step], dtype=torch.float32))
         maps = [distances[..., ::step, ::step] for distances in (self.z, self.metres)]
@@ -147,7 +147,7 @@ def scenes_of(
         image (3xHxW or Bx3xHxW tensor), distance: as for `RandomUnderwater.transform`.
         pictures (Bx3xHxW tensor): all of the image, from `pictures_of`.
         draws: one for each picture.
-        nouns: by the names of `Draw`.
+        nouns: the nouns of a transform, by the names of `Draw`.
     """
     fast.load()  # else the first picture of a process would be off by the last bits
     water: RandomWater = nouns["water"]
