@@ -1,4 +1,4 @@
-"""`python -m uwaug`."""
+"""The command line, as `python -m uwaug`."""
 
 from uwaug.cli.app import main
 

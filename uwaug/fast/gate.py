@@ -1,6 +1,6 @@
-"""The gate to the compiled loops: whether they form a picture, and how they are compiled.
+"""The gate to the compiled loops: which pictures they form, and how they are compiled.
 
-numba is imported at first use. Without it, and for all that the loops cannot compute, PyTorch
+numba is imported at first use. Without it, and for pictures that the loops cannot form, PyTorch
 computes the same to 2e-6. UWAUG_FAST=0 in the environment keeps to PyTorch.
 """
 
@@ -24,8 +24,8 @@ from uwaug.optics.snow import MarineSnow
 
 _log = logging.getLogger(__name__)
 
-_KNOWN = {Development, Sensor, Light, MarineSnow, type(None)}
-"""The classes that the loops know."""
+_CLASSES = {Development, Sensor, Light, MarineSnow, type(None)}
+"""Classes that the loops compute, but no subclasses of them."""
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -33,35 +33,34 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 def can(
     image: Tensor, z: Tensor, medium: Medium, light: object, development: Development = NEUTRAL
 ) -> bool:
-    """Whether the loops form these pictures: in float32 or bytes on a CPU, without gradients.
+    """True if the loops form these pictures: in float32 or bytes on a CPU, without gradients.
     Arguments as for `uwaug.formation.image.form`.
     """
     if torch.compiler.is_compiling() or not (wanted() and _has_numba()):
         return False
     if z.dtype != torch.float32 or torch.jit.is_tracing():  # type: ignore[attr-defined, no-untyped-call]
         return False
-    # of what is one's own the loops know nothing
-    kinds = {type(development), type(development.noise), type(light), *map(type, medium.snow)}
-    if not kinds <= _KNOWN or not _has_its_sums(medium):
+    classes = {type(development), type(development.noise), type(light), *map(type, medium.snow)}
+    if not classes <= _CLASSES or not _has_its_sums(medium):
         return False
-    recorded = torch.is_grad_enabled()
+    records = torch.is_grad_enabled()
     for value in (image, z, *medium.tensors(), *medium.point_spread.numbers().values()):
         if isinstance(value, Tensor):
             is_plain = type(value) in (Tensor, torch.nn.Parameter) and value.is_cpu
-            if not is_plain or (recorded and value.requires_grad):
+            if not is_plain or (records and value.requires_grad):
                 return False
     return _works()
 
 
 def _has_its_sums(medium: Medium) -> bool:
-    """Whether the curves of a medium, which may be of one's own class, are its sums."""
+    """True if the curves of a medium, which may be of a subclass, are its sums."""
     kind = type(medium)
     names = ("sums", "curves", "image", "brightened", "under_lamp")
     return kind is Medium or all(getattr(kind, n) is getattr(Medium, n) for n in names)
 
 
 def load() -> bool:
-    """Load the loops, and with them what is compiled of small sums; whether they are there."""
+    """Load the loops, and with them other compiled functions; False if they cannot be loaded."""
     return are_loaded() or (wanted() and _has_numba() and _works())
 
 
@@ -78,7 +77,7 @@ def warm_up() -> None:
 
     z = torch.full((1, 1, 8, 8), 3.0)
     for surfaces in ("grey", "spectral"):
-        # a blur on coarse grids, so that their loops are compiled too
+        # a wide blur, so that the loops of coarse grids are compiled, too
         medium = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(30.0))
         medium = medium.with_snow(MarineSnow(seed=0))
         for image in (torch.full((1, 3, 8, 8), 0.5), torch.zeros(1, 3, 8, 8, dtype=torch.uint8)):
@@ -92,7 +91,7 @@ def _has_numba() -> bool:
 
 @cache
 def _works() -> bool:
-    """Whether the loops can be loaded; a numba that does not suit numpy, say, cannot."""
+    """Load the loops; False if that fails, as with a numba that does not suit numpy."""
     try:
         from uwaug.fast import kernels  # noqa: F401
     except Exception as error:
@@ -121,7 +120,7 @@ def _tell_of_compiling() -> None:
 
 
 def inner(function: _F) -> _F:
-    """A part of loops."""
+    """Compile a function into the loops that call it."""
     import numba
 
     compiled: _F = numba.njit(forceinline=True, **OPTIONS)(function)
@@ -129,4 +128,4 @@ def inner(function: _F) -> _F:
 
 
 kernel = kept
-"""Loops that Python calls: compiled once, and kept on disk where there is room."""
+"""Compile loops that Python calls, once, and keep them on disk where a folder can be written to."""

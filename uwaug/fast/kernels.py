@@ -1,16 +1,16 @@
 """The compiled loops that form a picture without gradients.
 
 Pixels are computed in tiles of `TILE` px of one row, counted from its left edge, so that their bits
-depend neither on threads nor on strips. What a tile needs, some 20 rows, stays in the first cache.
+depend neither on threads nor on strips. The rows of a tile, some 20, stay in the first cache.
 (More arithmetic in one loop, two rates or four pairs of taps, is no faster.)
 
 Slices are taken before a loop, so that no index can be negative: numba would otherwise test each,
-and no loop would be vectorised. Arrays are copied by loops as well: `d[:n] = s` of two arrays takes
-a quarter of the time of compiling, for the words of an error that cannot occur.
+and no loop would be vectorised. Arrays are copied by loops, too: `d[:n] = s` of two arrays would
+take a quarter of the time of compiling.
 
-numba brings no vector functions of 2^x, log2 and sRGB. In single precision those here are within
-1e-7 of themselves for 2^x, 2e-7 for log2, 3e-7 for sRGB of 0…1. They stand in this file, as numba
-looks at the file of a kernel to see whether what it kept on disk is out of date, and at no other.
+numba has no vector functions of 2^x, log2 and sRGB. Those here are relatively right within 1e-7 for
+2^x, 2e-7 for log2, 3e-7 for sRGB of 0…1. They stand in this file, as numba looks at no other to see
+if a kernel that it keeps on disk is out of date.
 """
 
 from typing import Any
@@ -37,10 +37,10 @@ from uwaug.fast.tables import (
 f32, i32 = np.float32, np.int32
 _0, _1 = f32(0), f32(1)
 _LOG2E = np.log2(np.e)
-_WHOLE = f32(1.5 * 2**23)  # added to a number, it leaves the nearest whole one in the last bits
-_WHOLE_BITS = int(np.float32(1.5 * 2**23).view(np.int32))
+_ROUNDING = f32(1.5 * 2**23)  # a sum with it has the nearest whole number in its last bits
+_ROUNDING_BITS = int(np.float32(1.5 * 2**23).view(np.int32))
 _ROOT_HALF_BITS = int(np.float32(0.5**0.5).view(np.int32))
-_SPENT, _MOST = f32(-100), f32(126)  # of exponents; e^−x of any less would make slow subnormals
+_MIN_EXPONENT, _MAX_EXPONENT = f32(-100), f32(126)  # e^x of less gives slow subnormals
 
 
 def _constants(values: str) -> tuple[np.float32, ...]:
@@ -75,7 +75,7 @@ _G0, _G1, _G2, _G3, _G4, _G5, _G6, _G7 = _constants(
 )
 _SRGB_KNEE, _LINEAR_KNEE = f32(0.0404482362771076), f32(0.0404482362771076 / 12.92)  # see colour
 _SLOPE, _UNSLOPE, _SCALE, _SHIFT = f32(12.92), f32(1 / 12.92), f32(1 / 1.055), f32(0.055)
-_GAMMA, _UNGAMMA, _LARGEST = f32(2.4), f32(1 / 2.4), f32(1e30)
+_GAMMA, _UNGAMMA, _MAX_VALUE = f32(2.4), f32(1 / 2.4), f32(1e30)
 _D_SCALE, _D_SHIFT = f32(2 / (1 - 0.0404482362771076)), f32(1.0404482362771076 / 0.9595517637228924)
 _P_SCALE, _P_SHIFT = f32(8**0.5), f32(3)
 
@@ -83,10 +83,10 @@ _P_SCALE, _P_SHIFT = f32(8**0.5), f32(3)
 @inner
 def exp2_parts(x: Any) -> Any:
     """2^x as 2^n and 2^x − 2^n, so that 2^x − 1 can be had without cancellation."""
-    x = min(max(x, _SPENT), _MOST)
-    shifted = x + _WHOLE
-    n = i32(f32(shifted).view(i32) - _WHOLE_BITS)
-    f = x - (shifted - _WHOLE)
+    x = min(max(x, _MIN_EXPONENT), _MAX_EXPONENT)
+    shifted = x + _ROUNDING
+    n = i32(f32(shifted).view(i32) - _ROUNDING_BITS)
+    f = x - (shifted - _ROUNDING)
     p = f * (_E0 + f * (_E1 + f * (_E2 + f * (_E3 + f * (_E4 + f * _E5)))))
     power = i32(i32(n + 127) << 23).view(f32)
     return power, power * p
@@ -94,7 +94,7 @@ def exp2_parts(x: Any) -> Any:
 
 @inner
 def exp2(x: Any) -> Any:
-    """2^x of x from −100 to 126; beyond, of the nearest of them."""
+    """2^x, with x held at −100…126."""
     power, rest = exp2_parts(x)
     return power + rest
 
@@ -117,7 +117,7 @@ def _split(y: Any) -> Any:
 
 @inner
 def log2(y: Any) -> Any:
-    """Of positive y."""
+    """Logarithm to base 2 of positive y."""
     e, m = _split(y)
     return _log2_sum(e, m - _1)
 
@@ -135,7 +135,7 @@ def decode_unit(x: Any) -> Any:
 def decode(x: Any) -> Any:
     """Decode any sRGB."""
     a = abs(x)
-    m = min(max(a, _SRGB_KNEE), _LARGEST)
+    m = min(max(a, _SRGB_KNEE), _MAX_VALUE)
     power = exp2(_GAMMA * log2(_1 + (m - _1) * _SCALE))
     value = a * _UNSLOPE if a < _SRGB_KNEE else power
     return -value if x < _0 else value
@@ -160,7 +160,7 @@ def encode_unit(x: Any) -> Any:
 def encode(x: Any) -> Any:
     """Encode any linear light."""
     a = abs(x)
-    m = min(max(a, _LINEAR_KNEE), _LARGEST)
+    m = min(max(a, _LINEAR_KNEE), _MAX_VALUE)
     power = exp2(_UNGAMMA * log2(m))
     value = a * _SLOPE if a < _LINEAR_KNEE else power + _SHIFT * (power - _1)
     return -value if x < _0 else value
@@ -168,52 +168,63 @@ def encode(x: Any) -> Any:
 
 @inner
 def nearest(x: Any) -> Any:
-    """The nearest whole number, of |x| < 2^22; of two as near, the even one."""
-    return f32(x + _WHOLE).view(i32) - _WHOLE_BITS
+    """The nearest whole number, for |x| < 2^22; the even one of two as near."""
+    return f32(x + _ROUNDING).view(i32) - _ROUNDING_BITS
 
 
 # ------------------------------------------------------------------------------ tiles
 
 TILE = 256
-"""px. (128: 2 to 10 % longer; 512: as fast, but half as long again at 256 px; 1024: half again.)"""
+"""Width of a tile, px. (128 takes 2 to 10 % longer; 512 takes as long, but half as long again for
+pictures of 256 px; 1024 takes half as long again.)
+"""
 
 LANES = 32
-"""Pixels that a tile is rounded up to; and lines that go through a coarse grid side by side. (16:
-10 to 80 % longer; 64: 20 to 40 %.)
+"""Pixels of which a tile has a multiple; and lines that go through a coarse grid side by side. (16
+takes 10 to 80 % longer, 64 takes 20 to 40 %.)
 """
 
 GAMUT_FROM, BEYOND, DARK, TOE = f32(0.75), f32(4), f32(1e-8), f32(1e-4)
-"""Of the development's curves."""
+"""Constants of the development's curves, see `uwaug.formation.development`."""
 
 _2, _255 = f32(2), f32(255)
-_WITHIN, _ENTRY = i32((1 << ENTRY_BITS) - 1), f32(1 / (1 << ENTRY_BITS))
+_FRACTION_BITS, _FRACTION_UNIT = i32((1 << ENTRY_BITS) - 1), f32(1 / (1 << ENTRY_BITS))
 
 
 @inner
 def tile_row(t: Any, row: int) -> Any:
-    """One of the rows that a tile works in."""
+    """A row of a tile's memory."""
     return t[row * TILE : (row + 1) * TILE]
 
 
 @inner
 def tile_rows(t: Any, first: int, count: int) -> Any:
-    """`count` of the rows that a tile works in."""
+    """Rows of a tile's memory, one after another."""
     return t[first * TILE : (first + count) * TILE]
+
+
+@inner
+def clear(t: Any, first: int, count: int, n: int) -> None:
+    """Set `n` pixels of rows of a tile's memory to 0."""
+    for row in range(first, first + count):
+        d = tile_row(t, row)
+        for x in range(n):
+            d[x] = _0
+
+
+@inner
+def copy(d: Any, s: Any) -> None:
+    """Copy the values of `s` to the front of `d`."""
+    for x in range(s.size):
+        d[x] = s[x]
 
 
 # ------------------------------------------------------------------------------ coarse grids
 
 
 @inner
-def copy(d: Any, s: Any) -> None:
-    """The values of `s` to the front of `d`."""
-    for x in range(s.size):
-        d[x] = s[x]
-
-
-@inner
 def add_rows(d: Any, plane: Any, rows: Any, c: int, w: Any) -> None:
-    """Add to d: Σ w[i]·(row rows[i] + c); there are 4, 8, … weights."""
+    """Add Σ w[i]·plane[rows[i] + c] to `d`; there are 4, 8, … weights."""
     for i in range(0, w.size, 4):
         w0, w1, w2, w3 = w[i], w[i + 1], w[i + 2], w[i + 3]
         r0, r1 = plane[rows[i] + c], plane[rows[i + 1] + c]
@@ -224,7 +235,7 @@ def add_rows(d: Any, plane: Any, rows: Any, c: int, w: Any) -> None:
 
 @inner
 def to_columns(columns: Any, lines: Any, width: int) -> None:
-    """Lines as columns of `LANES` samples, so that what follows needs no shuffling."""
+    """Write lines as columns of `LANES` samples, so that the next loops need no shuffling."""
     for x in range(width):
         column = columns[x * LANES : (x + 1) * LANES]
         for j in range(LANES):
@@ -233,7 +244,7 @@ def to_columns(columns: Any, lines: Any, width: int) -> None:
 
 @inner
 def to_lines(grid: Any, top: int, count: int, columns: Any) -> None:
-    """Columns of `LANES` samples as so many lines of a grid."""
+    """Write columns of `LANES` samples as lines of a grid."""
     for j in range(count):
         line = grid[top + j]
         for x in range(line.size):
@@ -242,7 +253,7 @@ def to_lines(grid: Any, top: int, count: int, columns: Any) -> None:
 
 @inner
 def _mix_columns(d: Any, s: Any, w: Any, i: int) -> None:
-    """Add to d: Σ of four weights from w[i] on times columns of `LANES` samples."""
+    """Add a sum of four columns of `LANES` samples to `d`, with the weights from w[i] on."""
     w0, w1, w2, w3 = w[i], w[i + 1], w[i + 2], w[i + 3]
     for j in range(LANES):
         s01 = w0 * s[j] + w1 * s[j + LANES]
@@ -251,7 +262,7 @@ def _mix_columns(d: Any, s: Any, w: Any, i: int) -> None:
 
 @inner
 def gather(to: Any, source: Any, first: Any, weights: Any) -> None:
-    """Columns of `LANES` samples, each a weighed sum of others."""
+    """Write columns of `LANES` samples, each a weighed sum of others."""
     to[:] = _0
     count, taps = weights.shape
     for k in range(count):
@@ -275,18 +286,18 @@ def extend(line: Any, fold: Any, margin: int, width: int, each: int) -> None:
 def coarse_lines(
     light: Floats, grid: Floats, c: CoarseTable, origin: int, start: int, stop: int
 ) -> None:
-    """Lines of a coarse grid, shrunk along both axes and enlarged again along rows; the last step,
-    the enlarging along columns, is left to those who read them.
+    """Make lines of a coarse grid: shrunk along both axes, and enlarged again along rows.
+    `add_enlarged` enlarges them along columns.
 
     Args:
         light (3xHxW): of the scene.
-        grid (NxW): lines from `origin` on; n is of channel n % 3, of row n // 3 of the whole grid.
+        grid (NxW): lines from `origin` on. Line n of the whole grid is row n // 3 of channel n % 3.
         c: tables of the grid.
         start, stop: lines, counted from `origin`.
     """
     channels, _, width = light.shape
     cells, taps = c.across.shape[0], c.down.shape[1]
-    # columns of a power of two would share few places of the cache: half as long again at 1024 px
+    # a power of two would share few places of the cache: half as long again at 1024 px
     lines = np.zeros((LANES, width + 24), np.float32)
     flat = np.zeros((width + 2 * c.column_margin) * LANES, np.float32)
     small = np.zeros(cells * LANES, np.float32)
@@ -308,47 +319,47 @@ def coarse_lines(
 
 # ------------------------------------------------------------------------------ lamps
 
-METRES, SEEN, LIT, LIT_ROWS = 2, 3, 6, 19
-"""Rows that lamps work in, of which first come tangents to the right and down: distance without the
-field, three colours that surfaces send on, three of what arrives. Rows for each rate follow.
+METRES, SURFACE, ARRIVAL, LAMP_ROWS = 2, 3, 6, 19
+"""First rows, in the memory of lamps, of: the distance without the field; three channels that
+surfaces send; three that arrive; one row for each rate. Rows 0 and 1 hold tangents to the right and
+down.
 """
 
 _HALF, _3 = f32(0.5), f32(3)
-_LEAST_M, _LEAST_LENGTH, _LEAST_LIGHT, _MOST_T = f32(1e-6), f32(1e-6), f32(1e-30), f32(1 - 1e-6)
+_MIN_M, _MIN_LENGTH, _MIN_LIGHT, _MAX_TANGENT = f32(1e-6), f32(1e-6), f32(1e-30), f32(1 - 1e-6)
 
 
 @inner
 def _send(t: Any, z: int, sharp: int, blurred: int, at: int, lamps: Any, n: int) -> None:
-    """What of the scene lamps show: J where light comes straight, its blur elsewhere."""
-    far, e = tile_row(t, z), tile_row(t, at + 9)
+    """Light of surfaces under lamps, before the water weakens it: J for the share that comes
+    straight, its blur for the rest.
+    """
+    distances, e = tile_row(t, z), tile_row(t, at + 9)
     count, direct = lamps.straight.shape[0], lamps.straight_rates.size
     sums = tile_rows(t, at + 10, 6)
-    for row in range(2 * count):
-        zero = tile_row(sums, row)
-        for x in range(n):
-            zero[x] = _0
+    clear(sums, 0, 2 * count, n)
     for r in range(direct + lamps.rates.size):
         is_direct = r < direct
         rate = lamps.straight_rates[r] if is_direct else lamps.rates[r - direct]
         for x in range(n):
-            e[x] = exp2(rate * far[x])
+            e[x] = exp2(rate * distances[x])
         for c in range(count):
-            w = lamps.straight[c, r] if is_direct else lamps.all[c, r - direct]
+            w = lamps.straight[c, r] if is_direct else lamps.signal[c, r - direct]
             total = tile_row(sums, c if is_direct else count + c)
             for x in range(n):
                 total[x] += w * e[x]
     for c in range(3):
         part = min(c, count - 1)
-        straight, everything = tile_row(sums, part), tile_row(sums, count + part)
-        J, B, d = tile_row(t, sharp + c), tile_row(t, blurred + c), tile_row(t, at + SEEN + c)
+        straight, signal = tile_row(sums, part), tile_row(sums, count + part)
+        J, B, d = tile_row(t, sharp + c), tile_row(t, blurred + c), tile_row(t, at + SURFACE + c)
         for x in range(n):
-            share = min(straight[x] / max(everything[x], _LEAST_LIGHT), _1)
+            share = min(straight[x] / max(signal[x], _MIN_LIGHT), _1)
             d[x] = B[x] + share * (J[x] - B[x])
 
 
 @inner
 def _faded(toward: Any, inner_edge: Any, outer_edge: Any) -> Any:
-    """The share of a cone's light at an angle whose cosine is `toward`."""
+    """Share of a cone's light at an angle whose cosine is `toward`."""
     s = min(max((toward - outer_edge) / (inner_edge - outer_edge), _0), _1)
     return s * s * (_3 - _2 * s)
 
@@ -361,16 +372,16 @@ def _half_angle(sine: Any, cosine: Any, side: Any) -> Any:
 
 @inner
 def _shine(t: Any, z: int, at: int, lamp: Any, lamps: Any, n: int) -> None:
-    """What a lamp of power 1 sends to the scene, and how rays pass it, see `uwaug.light`: into row
-    9 its light on the surface, 10 the way through the water, 11 and 12 (optical) nearest point and
-    height of the ray, 13 and 14 the axis across and along it, 15 and 16 the middle and the half of
-    its lit part, 17 what multiplies the fog.
+    """Geometry of a lamp of power 1 and of the rays, see `uwaug.light`. Row 9 becomes its light on
+    the surface; 10 the way through the water; 11 and 12 (optical) nearest point and height of the
+    ray; 13 and 14 the axis across and along it; 15 and 16 the middle and the half of its lit part;
+    17 the factor of the fog.
     """
     px, py, pz, ax, ay, az = lamp[0], lamp[1], lamp[2], lamp[3], lamp[4], lamp[5]
     inner_edge, outer_edge, wide = lamp[6], lamp[7], lamp[8] > _0
     before = px * ax + py * ay + pz * az
     radius, phase = lamps.radius, _HALF * (_1 - lamps.asymmetry * lamps.asymmetry)
-    far, s, d = tile_row(t, z), tile_rows(t, at, 3), tile_rows(t, at + 9, 9)
+    distances, s, d = tile_row(t, z), tile_rows(t, at, 3), tile_rows(t, at + 9, 9)
     for x in range(n):
         X, Y, metres = s[x], s[x + TILE], s[x + METRES * TILE]
         shortening = _1 / np.sqrt(_1 + X * X + Y * Y)
@@ -382,7 +393,7 @@ def _shine(t: Any, z: int, at: int, lamp: Any, lamps: Any, n: int) -> None:
         one_over = _1 / np.sqrt(beyond * beyond + squared)
         along = (X * ax + (Y * ay + az)) * shortening
         across = (nearest * along - before) / height
-        density = far[x] / metres if metres > _LEAST_M else _1
+        density = distances[x] / metres if metres > _MIN_M else _1
         toward = (across * height + along * beyond) * one_over
         share = _1 if wide else _faded(toward, inner_edge, outer_edge)
         d[x] = share * one_over * one_over
@@ -394,7 +405,7 @@ def _shine(t: Any, z: int, at: int, lamp: Any, lamps: Any, n: int) -> None:
         low = q / (_1 + np.sqrt(_1 + q * q))
         q = beyond / height
         high = q / (_1 + np.sqrt(_1 + q * q))
-        size = max(np.sqrt(across * across + along * along), _LEAST_LENGTH)
+        size = max(np.sqrt(across * across + along * along), _MIN_LENGTH)
         c, k = along / size, across / size
         cosine = min(outer_edge / size, _1)
         sine = np.sqrt(_1 - cosine * cosine)
@@ -415,14 +426,11 @@ def _scatter(t: Any, at: int, lamp: Any, lamps: Any, n: int) -> None:
     least, twice = (_1 - g) * (_1 - g), _2 * g
     s = tile_rows(t, at + 9, 9)
     way, light = tile_row(t, at + 9), tile_row(t, at + 18)
-    for r in range(lamps.rates.size):
-        total = tile_row(t, at + LIT_ROWS + r)
-        for x in range(n):
-            total[x] = _0
+    clear(t, at + LAMP_ROWS, lamps.rates.size, n)
     for q in range(lamps.nodes.shape[1]):
         node, weight = lamps.nodes[0, q], lamps.nodes[1, q]
         for x in range(n):
-            v = min(s[x + 6 * TILE] + node * s[x + 7 * TILE], _MOST_T)
+            v = min(s[x + 6 * TILE] + node * s[x + 7 * TILE], _MAX_TANGENT)
             above, below = _1 + v, _1 - v
             share = _1 / (_1 + v * v)
             raised = above * above * share
@@ -433,20 +441,19 @@ def _scatter(t: Any, at: int, lamp: Any, lamps: Any, n: int) -> None:
             light[x] = scattered * faded
             way[x] = s[x + 2 * TILE] + s[x + 3 * TILE] * above / below
         for r in range(lamps.rates.size):
-            rate, total = lamps.rates[r], tile_row(t, at + LIT_ROWS + r)
+            rate, total = lamps.rates[r], tile_row(t, at + LAMP_ROWS + r)
             for x in range(n):
                 total[x] += light[x] * exp2(rate * way[x])
 
 
 @inner
 def lamplight(t: Any, z: int, sharp: int, blurred: int, at: int, lamps: Any, n: int) -> None:
-    """What arrives of the light of lamps, in three rows from `at` + LIT on: of surfaces whose light
-    and its blur stand in rows from `sharp` and `blurred` on, and of the fog before them.
+    """Light that arrives under lamps, in three rows from `at` + ARRIVAL on: from surfaces, whose
+    light and its blur stand in rows from `sharp` and `blurred` on, and from the fog before them.
     """
     _send(t, z, sharp, blurred, at, lamps, n)
-    d, seen = tile_rows(t, at + LIT, 3), tile_rows(t, at + SEEN, 3)
-    for x in range(n):
-        d[x] = d[x + TILE] = d[x + 2 * TILE] = _0
+    d, surface = tile_rows(t, at + ARRIVAL, 3), tile_rows(t, at + SURFACE, 3)
+    clear(d, 0, 3, n)
     mixes = lamps.arriving.shape[1] == 9
     s = tile_rows(t, at + 9, 9)
     for k in range(lamps.places.shape[0]):
@@ -460,7 +467,7 @@ def lamplight(t: Any, z: int, sharp: int, blurred: int, at: int, lamps: Any, n: 
                 c0, c1, c2 = w[6, r], w[7, r], w[8, r]
                 for x in range(n):
                     e = s[x] * exp2(rate * s[x + TILE])
-                    red, green, blue = seen[x], seen[x + TILE], seen[x + 2 * TILE]
+                    red, green, blue = surface[x], surface[x + TILE], surface[x + 2 * TILE]
                     d[x] += e * (a0 * red + a1 * green + a2 * blue)
                     d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue)
                     d[x + 2 * TILE] += e * (c0 * red + c1 * green + c2 * blue)
@@ -468,13 +475,13 @@ def lamplight(t: Any, z: int, sharp: int, blurred: int, at: int, lamps: Any, n: 
                 a0, a1, a2 = w[0, r], w[1, r], w[2, r]
                 for x in range(n):
                     e = s[x] * exp2(rate * s[x + TILE])
-                    d[x] += a0 * e * seen[x]
-                    d[x + TILE] += a1 * e * seen[x + TILE]
-                    d[x + 2 * TILE] += a2 * e * seen[x + 2 * TILE]
+                    d[x] += a0 * e * surface[x]
+                    d[x + TILE] += a1 * e * surface[x + TILE]
+                    d[x + 2 * TILE] += a2 * e * surface[x + 2 * TILE]
         _scatter(t, at, lamps.places[k], lamps, n)
         strength = tile_row(t, at + 17)
         for r in range(lamps.rates.size):
-            total, a0, a1, a2 = tile_row(t, at + LIT_ROWS + r), fog[0, r], fog[1, r], fog[2, r]
+            total, a0, a1, a2 = tile_row(t, at + LAMP_ROWS + r), fog[0, r], fog[1, r], fog[2, r]
             for x in range(n):
                 light = strength[x] * total[x]
                 d[x] += a0 * light
@@ -487,7 +494,7 @@ def lamplight(t: Any, z: int, sharp: int, blurred: int, at: int, lamps: Any, n: 
 
 @kernel
 def decode_rows(image: Floats, light: Floats, beyond: bool, start: int, stop: int) -> None:
-    """Linear light of rows (NxW) of sRGB values; `beyond`: some may not lie in 0…1."""
+    """Linear light of rows (NxW) of sRGB values; `beyond` if some may not lie in 0…1."""
     for y in range(start, stop):
         values, decoded = image[y], light[y]
         for x in range(decoded.size):
@@ -500,7 +507,7 @@ def decode_rows(image: Floats, light: Floats, beyond: bool, start: int, stop: in
 
 @kernel
 def look_up(image: Bytes, table: Floats, light: Floats, start: int, stop: int) -> None:
-    """Linear light of rows (NxW) of bytes, from a table of all of them."""
+    """Linear light of rows (NxW) of bytes, from a table of all bytes."""
     for y in range(start, stop):
         values, decoded = image[y], light[y]
         for x in range(decoded.size):
@@ -521,21 +528,22 @@ def meter(
     luminance: Doubles,
     brightness: Floats,
 ) -> tuple[Doubles, float]:
-    """Mean light (3x3) of the scene, of what arrives of it without the blur, and of what is
-    positive of that, at some pixels; and the veil of the farthest, of the brightest channel.
+    """Mean light at some pixels (3x3): of the scene, of what arrives without the blur, and of what
+    is positive of that; and the veil at the farthest distance, in the brightest channel.
 
     Args:
-        light (3xN), z, metres (N): of all pixels of a picture, so many in a row.
-        farthest: of z.
-        points (M): which of them; without a sign, as numba would test each that has one.
+        light (3xN), z, metres (N): of all pixels of a picture.
+        width: of the picture, px.
+        farthest: the largest z.
+        points (M): indices of the pixels; without a sign, as numba would test each that has one.
         medium, further, lamps: tables.
         luminance (3): weights of the channels.
         brightness (M, or 0): is filled with the luminance of what arrives.
     """
     count, rates, direct = points.size, medium.rates, medium.direct.shape[1]
-    far, J, d = np.empty(count, f32), np.empty((3, count), f32), np.zeros((3, count), f32)
+    distances, J, d = np.empty(count, f32), np.empty((3, count), f32), np.zeros((3, count), f32)
     for x in range(count):
-        far[x] = z[points[x]]
+        distances[x] = z[points[x]]
     for c in range(3):
         row, plane = J[c], light[c]
         for x in range(count):
@@ -554,19 +562,19 @@ def meter(
             a0, b1, c2 = w[0, r], w[1, r], w[2, r]
             a1 = a2 = b0 = b2 = c0 = c1 = _0
         for x in range(count):
-            power, rest = exp2_parts(rate * far[x])
+            power, rest = exp2_parts(rate * distances[x])
             e, less = power + rest, (power - _1) + rest
             d0[x] += e * (a0 * red[x] + a1 * green[x] + a2 * blue[x]) + less * a3
             d1[x] += e * (b0 * red[x] + b1 * green[x] + b2 * blue[x]) + less * b3
             d2[x] += e * (c0 * red[x] + c1 * green[x] + c2 * blue[x]) + less * c3
     if lamps.places.shape[0] > 0:
-        t = np.zeros((7 + LIT_ROWS + lamps.rates.size) * TILE, np.float32)
+        t = np.zeros((7 + LAMP_ROWS + lamps.rates.size) * TILE, np.float32)
         for first in range(0, count, TILE):
             n = min(TILE, count - first)
             rows = tile_rows(t, 0, 9)
             for x in range(n):
                 point = points[first + x]
-                rows[x] = far[first + x]
+                rows[x] = distances[first + x]
                 rows[x + 7 * TILE] = (f32(point % width) - lamps.middle[0]) * lamps.tangent
                 rows[x + 8 * TILE] = (f32(point // width) - lamps.middle[1]) * lamps.tangent
             row = tile_row(t, 7 + METRES)
@@ -577,16 +585,16 @@ def meter(
                 copy(tile_row(t, 4 + c), J[c, first : first + n])
             lamplight(t, 0, 1, 4, 7, lamps, n)
             for c in range(3):
-                row, lit = d[c, first : first + n], tile_row(t, 7 + LIT + c)
+                row, lit = d[c, first : first + n], tile_row(t, 7 + ARRIVAL + c)
                 for x in range(n):
                     row[x] += lit[x]
-    t, below = np.zeros(5 * TILE, f32), np.zeros(TILE, i32)
+    t, entries = np.zeros(5 * TILE, f32), np.zeros(TILE, i32)
     for first in range(0, count * min(1, further.rows.shape[1]), TILE):  # in tiles, as in a picture
         n = min(TILE, count - first)
-        copy(tile_row(t, 0), far[first : first + n])
+        copy(tile_row(t, 0), distances[first : first + n])
         for c in range(3):
             copy(tile_row(t, 1 + c), d[c, first : first + n])
-        add_terms(t, 0, 1, 4, below, further, n)
+        add_terms(t, 0, 1, 4, entries, further, n)
         for c in range(3):
             copy(d[c, first : first + n], tile_row(t, 1 + c)[:n])
     for x in range(brightness.size):
@@ -616,7 +624,9 @@ def meter(
 
 @inner
 def blur_rows(d: Any, plane: Any, fold: Any, middle: int, w: Any, pairs: int) -> None:
-    """Into d: w[0]·(row fold[middle]) + Σ w[i]·(both rows i away); there are 2, 4, … pairs."""
+    """Blur across rows into `d`: w[0]·(row fold[middle]) + Σ w[i]·(both rows i away); there are 2,
+    4, … pairs.
+    """
     m = plane[fold[middle]]
     a, b = plane[fold[middle - 1]], plane[fold[middle + 1]]
     p, q = plane[fold[middle - 2]], plane[fold[middle + 2]]
@@ -633,12 +643,12 @@ def blur_rows(d: Any, plane: Any, fold: Any, middle: int, w: Any, pairs: int) ->
 
 @inner
 def add_line(d: Any, share: Any, line: Any, at: int, w: Any, pairs: int, n: int) -> None:
-    """Add a share of the line so blurred along itself, for the tile that begins there."""
-    near = line[at - 2 : at + n + 2]
+    """Add a share of a line blurred along itself, for the tile that begins at `at`."""
+    window = line[at - 2 : at + n + 2]
     w0, w1, w2 = w[0], w[1], w[2]
     for x in range(n):
-        first, second = near[x + 1] + near[x + 3], near[x] + near[x + 4]
-        d[x] += share[x] * (w0 * near[x + 2] + w1 * first + w2 * second)
+        first, second = window[x + 1] + window[x + 3], window[x] + window[x + 4]
+        d[x] += share[x] * (w0 * window[x + 2] + w1 * first + w2 * second)
     for i in range(3, pairs, 2):
         before, after = line[at - i - 1 : at - i + n], line[at + i : at + i + n + 1]
         w1, w2 = w[i], w[i + 1]
@@ -648,7 +658,7 @@ def add_line(d: Any, share: Any, line: Any, at: int, w: Any, pairs: int, n: int)
 
 @inner
 def add_enlarged(d: Any, share: Any, grid: Any, n: int, left: int, right: int, w: Any) -> None:
-    """Add a share of lines n, n + 3, … of a grid, those of one channel, weighed."""
+    """Add a share of the weighed sum of lines n, n + 3, n + 6 and n + 9 of a grid."""
     w0, w1, w2, w3 = w[0], w[1], w[2], w[3]
     # one by one: of a block of lines, numba does not know that each is dense
     a, b = grid[n, left:right], grid[n + 3, left:right]
@@ -658,48 +668,50 @@ def add_enlarged(d: Any, share: Any, grid: Any, n: int, left: int, right: int, w
 
 
 @inner
-def find_entries(t: Any, z: int, share: int, below: Any, table: Any, n: int) -> None:
-    """Which entry of a table lies below each distance in row `z`, and how far beyond it that is."""
-    far, s, first = tile_row(t, z), tile_row(t, share), i32(table.first)
+def find_entries(t: Any, z: int, fraction: int, entries: Any, table: Any, n: int) -> None:
+    """Find the entry of a table below each distance in row `z`, and write the fraction of the way
+    to the next one into a row.
+    """
+    distances, s, first = tile_row(t, z), tile_row(t, fraction), i32(table.first)
     last = i32(first + ((table.rows.shape[1] - 1) << ENTRY_BITS) - 1)
     for x in range(n):
-        bits = min(max(f32(far[x]).view(i32), first), last)
-        below[x] = i32(i32(bits - first) >> ENTRY_BITS)
-        s[x] = f32(i32(bits & _WITHIN)) * _ENTRY
+        bits = min(max(f32(distances[x]).view(i32), first), last)
+        entries[x] = i32(i32(bits - first) >> ENTRY_BITS)
+        s[x] = f32(i32(bits & _FRACTION_BITS)) * _FRACTION_UNIT
 
 
 @inner
-def looked_up(column: Any, below: Any, share: Any) -> Any:
-    """A value of a table between two entries."""
-    # an index that has no sign: numba would test one that has
-    entry = np.uint32(below)
-    low = column[entry]
-    return low + share * (column[entry + np.uint32(1)] - low)
+def interpolated(column: Any, entry: Any, fraction: Any) -> Any:
+    """Value of a table at a fraction of the way from one entry to the next."""
+    # without a sign, as numba would test an index that has one
+    index = np.uint32(entry)
+    low = column[index]
+    return low + fraction * (column[index + np.uint32(1)] - low)
 
 
 @inner
-def width_places(t: Any, z: int, to: int, share: int, below: Any, table: Any, n: int) -> None:
-    """Where the widths at distances in row `z` lie in a plan, −1…1."""
-    find_entries(t, z, share, below, table, n)
-    s, d, places = tile_row(t, share), tile_row(t, to), table.rows[0]
+def width_places(t: Any, z: int, to: int, fraction: int, entries: Any, table: Any, n: int) -> None:
+    """Places (−1…1) in a plan of the widths at the distances in row `z`."""
+    find_entries(t, z, fraction, entries, table, n)
+    s, d, places = tile_row(t, fraction), tile_row(t, to), table.rows[0]
     for x in range(n):
-        d[x] = min(max(looked_up(places, below[x], s[x]), -_1), _1)
+        d[x] = min(max(interpolated(places, entries[x], s[x]), -_1), _1)
 
 
 @inner
-def add_terms(t: Any, z: int, to: int, share: int, below: Any, table: Any, n: int) -> None:
-    """Add the light of further terms to three channels."""
-    find_entries(t, z, share, below, table, n)
-    s = tile_row(t, share)
+def add_terms(t: Any, z: int, to: int, fraction: int, entries: Any, table: Any, n: int) -> None:
+    """Add the light of further terms to three rows."""
+    find_entries(t, z, fraction, entries, table, n)
+    s = tile_row(t, fraction)
     for c in range(3):
         d, light = tile_row(t, to + c), table.rows[c]
         for x in range(n):
-            d[x] += looked_up(light, below[x], s[x])
+            d[x] += interpolated(light, entries[x], s[x])
 
 
 @inner
 def _polynomials(t: Any, place: int, count: int, n: int) -> None:
-    """Chebyshev polynomials of the place, those from 2 on in the rows after it: two at a time."""
+    """Chebyshev polynomials of the place, in the rows after it from T2 on, two at a time."""
     v, s = tile_row(t, place), tile_rows(t, place + 1, 2)
     for x in range(n):
         s[x] = _2 * v[x] * v[x] - _1
@@ -715,15 +727,15 @@ def _polynomials(t: Any, place: int, count: int, n: int) -> None:
 
 @inner
 def weigh_series(t: Any, to: int, first: int, w: Any, n: int) -> None:
-    """Row `to` = w[0] + Σ w[i]·(row first + i − 1); there are 4, 6, … weights."""
+    """Write w[0] + Σ w[i]·row[first + i − 1] into row `to`; there are 4, 6, … weights."""
     d, i = tile_row(t, to), 4
     w0, w1, w2, w3 = w[0], w[1], w[2], w[3]
     if w.size > 4:
         s, w4, w5, i = tile_rows(t, first, 5), w[4], w[5], 6
         for x in range(n):
-            near = w0 + w1 * s[x] + w2 * s[x + TILE]
-            far = w3 * s[x + 2 * TILE] + w4 * s[x + 3 * TILE] + w5 * s[x + 4 * TILE]
-            d[x] = near + far
+            low = w0 + w1 * s[x] + w2 * s[x + TILE]
+            high = w3 * s[x + 2 * TILE] + w4 * s[x + 3 * TILE] + w5 * s[x + 4 * TILE]
+            d[x] = low + high
     else:
         s = tile_rows(t, first, 3)
         for x in range(n):
@@ -737,7 +749,7 @@ def weigh_series(t: Any, to: int, first: int, w: Any, n: int) -> None:
 
 @inner
 def blur_weights(t: Any, place: int, to: int, series: Any, n: int) -> None:
-    """The weights of the blurs, from the places; the rows after those are to work in."""
+    """Weights of the blurs, from the places; the rows after those are memory."""
     _polynomials(t, place, series.shape[1], n)
     for k in range(series.shape[0]):
         weigh_series(t, to + k, place, series[k], n)
@@ -746,18 +758,15 @@ def blur_weights(t: Any, place: int, to: int, series: Any, n: int) -> None:
 @inner
 def curves(t: Any, z: int, to: int, medium: Any, n: int) -> None:
     """T_β, T_G − T_β and V(0) − V of three channels in turn, from the distances in row z."""
-    far, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
+    distances, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
     scatter, veil, d = medium.scatter, medium.veil, tile_rows(t, to, 9)
-    for row in range(9):
-        zero = tile_row(d, row)
-        for x in range(n):
-            zero[x] = _0
+    clear(d, 0, 9, n)
     for r in range(direct):
         rate = rates[r]
         a0, a1, a2 = medium.direct[0, r], medium.direct[1, r], medium.direct[2, r]
         b0, b1, b2 = scatter[0, r], scatter[1, r], scatter[2, r]
         for x in range(n):
-            e = exp2(rate * far[x])
+            e = exp2(rate * distances[x])
             d[x] += a0 * e
             d[x + TILE] += b0 * e
             d[x + 3 * TILE] += a1 * e
@@ -769,7 +778,7 @@ def curves(t: Any, z: int, to: int, medium: Any, n: int) -> None:
         a0, a1, a2 = veil[0, r - direct], veil[1, r - direct], veil[2, r - direct]
         b0, b1, b2 = scatter[0, r], scatter[1, r], scatter[2, r]
         for x in range(n):
-            power, rest = exp2_parts(rate * far[x])
+            power, rest = exp2_parts(rate * distances[x])
             e, less = power + rest, (power - _1) + rest
             d[x + TILE] += b0 * e
             d[x + 2 * TILE] += a0 * less
@@ -783,32 +792,31 @@ def curves(t: Any, z: int, to: int, medium: Any, n: int) -> None:
 def _sum(total: Any, curves: Any, light: Any) -> None:
     """D + F + B of a channel, in place of its blurred light."""
     for x in range(light.size):
-        near = curves[x + 2 * TILE] + curves[x] * light[x]
-        total[x] = near + curves[x + TILE] * total[x]
+        sharp = curves[x + 2 * TILE] + curves[x] * light[x]
+        total[x] = sharp + curves[x + TILE] * total[x]
 
 
 @inner
 def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, n: int) -> None:
     """D + F + B of surfaces with spectra, in place of blurred light B in three rows from `total`
-    on: Σ T_β·(J − B) + T_G·B and the veil, for J in three rows from `sharp` on.
-
-    To sum products of light, instead of 21 curves first, takes half the time.
+    on: Σ T_β·(J − B) + T_G·B and the veil, for J in three rows from `sharp` on. (Sums of 21 curves
+    before the products take twice as long.)
     """
-    far, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
+    distances, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
     X, B = tile_rows(t, sharp, 3), tile_rows(t, total, 3)
     d = tile_rows(t, sharp + 3, 3)
+    clear(d, 0, 3, n)
     for c in range(3):
-        sharper, blurred, zero = tile_row(X, c), tile_row(B, c), tile_row(d, c)
+        sharper, blurred = tile_row(X, c), tile_row(B, c)
         for x in range(n):
             sharper[x] -= blurred[x]
-            zero[x] = _0
     for r in range(direct):
         rate, w = rates[r], medium.direct
         a0, a1, a2 = w[0, r], w[1, r], w[2, r]
         b0, b1, b2 = w[3, r], w[4, r], w[5, r]
         c0, c1, c2 = w[6, r], w[7, r], w[8, r]
         for x in range(n):
-            e, red, green, blue = exp2(rate * far[x]), X[x], X[x + TILE], X[x + 2 * TILE]
+            e, red, green, blue = exp2(rate * distances[x]), X[x], X[x + TILE], X[x + 2 * TILE]
             d[x] += e * (a0 * red + a1 * green + a2 * blue)
             d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue)
             d[x + 2 * TILE] += e * (c0 * red + c1 * green + c2 * blue)
@@ -818,7 +826,7 @@ def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, n: int) -> None:
         b0, b1, b2, b3 = w[3, r], w[4, r], w[5, r], v[1, r - direct]
         c0, c1, c2, c3 = w[6, r], w[7, r], w[8, r], v[2, r - direct]
         for x in range(n):
-            power, rest = exp2_parts(rate * far[x])
+            power, rest = exp2_parts(rate * distances[x])
             e, less = power + rest, (power - _1) + rest
             red, green, blue = B[x], B[x + TILE], B[x + 2 * TILE]
             d[x] += e * (a0 * red + a1 * green + a2 * blue) + less * a3
@@ -829,19 +837,21 @@ def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, n: int) -> None:
 
 
 @inner
-def _add_noise(t: Any, total: int, at: int, normals: Any, begins: Any, shown: Any, n: int) -> None:
+def _add_noise(
+    t: Any, total: int, at: int, normals: Any, begins: Any, development: Any, n: int
+) -> None:
     """Add the sensor's noise to the light in three rows, see `uwaug.formation.sensor`."""
     for c in range(3):
         light, noise = tile_row(t, total + c), normals[begins[c] + at :]
         for x in range(min(n, noise.size)):
-            variance = max(light[x], _0) * shown.photons + shown.dark
+            variance = max(light[x], _0) * development.photons + development.dark
             light[x] += np.sqrt(variance) * noise[x]
 
 
 @inner
-def _develop(t: Any, total: int, shown: Any, n: int) -> None:
+def _develop(t: Any, total: int, table: Any, n: int) -> None:
     """Gain, gamut and tone of the light in three rows, see `uwaug.formation.development`."""
-    share, contrast, offset, m = shown.gamut, shown.tone, shown.tone_offset, shown.gain
+    share, contrast, offset, m = table.gamut, table.tone, table.tone_offset, table.gain
     d = tile_rows(t, total, 3)
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     for x in range(n):
@@ -870,18 +880,18 @@ def _develop(t: Any, total: int, shown: Any, n: int) -> None:
 
 @inner
 def _compression(distance: Any) -> Any:
-    """By how much a distance from grey is made less."""
+    """Amount by which a distance from grey is made less."""
     beyond = max(distance - GAMUT_FROM, _0) * BEYOND
     return (beyond - beyond / np.sqrt(_1 + beyond * beyond)) * (_1 - GAMUT_FROM)
 
 
 @inner
-def _store(total: Any, srgb: bool, most: Any, out: Any, out_bytes: Any, n: int) -> None:
-    """Light of a tile, encoded, to where there is room: into one of the two."""
-    if srgb and most > _1:
+def _store(total: Any, srgb: bool, highest: Any, out: Any, out_bytes: Any, n: int) -> None:
+    """Encode the light of a tile, and write it to the one of two outputs that has room."""
+    if srgb and highest > _1:
         for x in range(n):
             value = total[x]
-            total[x] = encode_unit(value) if value <= _1 else min(encode(value), most)
+            total[x] = encode_unit(value) if value <= _1 else min(encode(value), highest)
     elif srgb:
         for x in range(n):
             total[x] = encode_unit(total[x])
@@ -897,15 +907,15 @@ def splat(places: Floats, light: Floats, scene: Floats, layer: Floats) -> None:
     for i in range(places.shape[1]):
         column, row, inner, outer = places[0, i], places[1, i], places[2, i], places[3, i]
         across, mixed, down, metres = places[4, i], places[5, i], places[6, i], places[7, i]
-        most = int(np.ceil(outer))
-        left, top = int(np.rint(column)) - most, int(np.rint(row)) - most
-        if left >= width or top >= height or left + 2 * most < 0 or top + 2 * most < 0:
+        reach = int(np.ceil(outer))
+        left, top = int(np.rint(column)) - reach, int(np.rint(row)) - reach
+        if left >= width or top >= height or left + 2 * reach < 0 or top + 2 * reach < 0:
             continue
         slope, total = _1 / (outer - inner), _0
-        # first what all pixels get together, then each its share
+        # first the sum of all weights, then each pixel's share
         for is_share in range(2):
-            for y in range(top, top + 2 * most + 1):
-                for x in range(left, left + 2 * most + 1):
+            for y in range(top, top + 2 * reach + 1):
+                for x in range(left, left + 2 * reach + 1):
                     dx, dy = f32(x) - column, f32(y) - row
                     squared = across * dx * dx + mixed * dx * dy + down * dy * dy
                     weight = min(max((outer - np.sqrt(max(squared, _0))) * slope, _0), _1)
@@ -931,26 +941,27 @@ def render_rows(
     starts: Indices,
     normals: Floats,
     begins: Indices,
-    shown: DevelopmentTable,
+    development: DevelopmentTable,
     srgb: bool,
-    most: Any,
+    highest: Any,
     out: Floats,
     out_bytes: Bytes,
     start: int,
     stop: int,
 ) -> None:
-    """Rows of a picture.
+    """Form rows of a picture.
 
     Args:
         light (3xHxW), z, metres (HxW): of the scene; effective distance, and without the field, m.
         snow (3xHxW, or 3x1x0): light of particles.
         medium, further, lamps, widths, stack: tables.
-        grid (NxW), starts (m): the lines of all coarse grids; where those of each would start.
-        normals (N), begins (3xH): of the sensor's noise; where each row of each channel begins.
-            Without noise, N = 0.
-        shown: of the development.
-        srgb, most: whether to encode, and the largest value then.
-        out, out_bytes (3xHxW): the result, one of them; the other is 3x1x0.
+        grid (NxW), starts (m): lines of all coarse grids; the index at which those of each would
+            start if they were whole.
+        normals (N), begins (3xH): of the sensor's noise; the index of the first for each row. N is
+            0 without noise.
+        development: table.
+        srgb, highest: True to encode; the largest value then.
+        out, out_bytes (3xHxW): one takes the result; the other is 3x1x0.
         start, stop: rows.
     """
     _, _, width = light.shape
@@ -959,14 +970,14 @@ def render_rows(
     padded = -(-width // TILE) * TILE + 2 * margin + 2
     lines = np.zeros((narrow * 3 + 1, padded), np.float32)
     spectral = medium.direct.shape[0] == 9
-    # rows of a tile: distance, curves, shares, totals, place and terms to work in, what lamps need,
-    # and how far distances are beyond an entry of the table
+    # rows of a tile: distance, curves, shares, totals, place and terms of a series, those of lamps,
+    # and fractions between entries of a table
     shares = 10
     totals = shares + count
-    lit = totals + 3 + max(terms, 1)
+    at_lamps = totals + 3 + max(terms, 1)
     is_lit = lamps.places.shape[0] > 0
-    beyond = lit + LIT_ROWS + lamps.rates.size if is_lit else lit
-    t, below = np.zeros((beyond + 1) * TILE, np.float32), np.zeros(TILE, np.int32)
+    fractions = at_lamps + LAMP_ROWS + lamps.rates.size if is_lit else at_lamps
+    t, entries = np.zeros((fractions + 1) * TILE, np.float32), np.zeros(TILE, np.int32)
     tile_row(t, shares)[:] = _1  # if there is one
     sharp = count - narrow - wide
     z_row = tile_row(t, 0)
@@ -979,11 +990,11 @@ def render_rows(
                 extend(line, stack.columns, margin, width, 1)
         for left in range(0, width, TILE):
             right = min(left + TILE, width)
-            # whole registers, whatever of them a processor has: no pixel is computed otherwise
+            # whole registers, whatever their size: a rest would be computed by other instructions
             n = min(TILE, -(-(right - left) // LANES) * LANES)
             copy(z_row, z[y, left:right])
             if count > 1:
-                width_places(t, 0, totals + 3, beyond, below, widths, n)
+                width_places(t, 0, totals + 3, fractions, entries, widths, n)
                 blur_weights(t, totals + 3, shares, stack.series, n)
             for c in range(3):
                 J, total_row = light[c, y, left:right], tile_row(t, totals + c)
@@ -1000,38 +1011,37 @@ def render_rows(
                     share = tile_row(t, shares + sharp + narrow + k)
                     first = starts[k] + 3 * stack.back_first[k, y] + c
                     add_enlarged(total_row, share, grid, first, left, right, stack.back[k, y])
+            if is_lit or spectral:
+                for c in range(3):
+                    copy(tile_row(t, 1 + c), light[c, y, left:right])
             if is_lit:
-                right_of, down = tile_row(t, lit), tile_row(t, lit + 1)
+                right_of, down = tile_row(t, at_lamps), tile_row(t, at_lamps + 1)
                 for x in range(n):
                     right_of[x] = (f32(left + x) - lamps.middle[0]) * lamps.tangent
                     down[x] = (f32(y) - lamps.middle[1]) * lamps.tangent
-                copy(tile_row(t, lit + METRES), metres[y, left:right])
-                for c in range(3):
-                    copy(tile_row(t, 1 + c), light[c, y, left:right])
-                lamplight(t, 0, 1, totals, lit, lamps, n)
+                copy(tile_row(t, at_lamps + METRES), metres[y, left:right])
+                lamplight(t, 0, 1, totals, at_lamps, lamps, n)
             if spectral:
-                for c in range(3):
-                    copy(tile_row(t, 1 + c), light[c, y, left:right])
                 _mix(t, 0, 1, totals, medium, n)
             else:
                 curves(t, 0, 1, medium, n)
                 for c in range(3):
-                    near = tile_rows(t, 1 + 3 * c, 3)
-                    _sum(tile_row(t, totals + c), near, light[c, y, left:right])
+                    curve_rows = tile_rows(t, 1 + 3 * c, 3)
+                    _sum(tile_row(t, totals + c), curve_rows, light[c, y, left:right])
             if further.rows.shape[1] > 0:
-                add_terms(t, 0, totals, beyond, below, further, n)
+                add_terms(t, 0, totals, fractions, entries, further, n)
             for c in range(3 * is_lit):
-                total_row, lamplit = tile_row(t, totals + c), tile_row(t, lit + LIT + c)
+                total_row, arrival = tile_row(t, totals + c), tile_row(t, at_lamps + ARRIVAL + c)
                 for x in range(n):
-                    total_row[x] += lamplit[x]
+                    total_row[x] += arrival[x]
             for c in range(3 * min(1, snow.size)):
                 total_row, layer = tile_row(t, totals + c), snow[c, y, left:right]
                 for x in range(layer.size):
                     total_row[x] += layer[x]
             if normals.size > 0:
-                _add_noise(t, totals, left, normals, begins[:, y], shown, n)
-            _develop(t, totals, shown, n)
+                _add_noise(t, totals, left, normals, begins[:, y], development, n)
+            _develop(t, totals, development, n)
             for c in range(3):
                 floats = out[c, y % out.shape[1], left:right]
                 whole = out_bytes[c, y % out_bytes.shape[1], left:right]
-                _store(tile_row(t, totals + c), srgb, most, floats, whole, n)
+                _store(tile_row(t, totals + c), srgb, highest, floats, whole, n)

@@ -1,4 +1,4 @@
-"""Pictures by the compiled loops: decoding, and all from light to the encoded picture."""
+"""Image formation by the compiled loops, from the stored picture to the stored picture."""
 
 import os
 from collections import deque
@@ -52,7 +52,7 @@ _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.
 _LUMINANCE = np.array(LUMINANCE)
 
 _BAND = 1 << 20
-"""Pixels whose coarse grids are held at a time: of all together, up to 24 MiB."""
+"""Pixels whose coarse grids are held at a time: up to 24 MiB."""
 
 
 def form(
@@ -71,23 +71,28 @@ def form(
     low, high = (0.0, 1.0) if image.dtype == torch.uint8 else extent(image)
     J = _decoded(image, srgb, low < 0 or high > 1)
     batch, rows = max(len(J), len(z), len(medium)), range(len(medium))
-    scenes, far = J.contiguous().numpy(), z.detach().contiguous().numpy()
-    near = far if metres is None else metres.detach().contiguous().numpy()
+    scenes, z_maps = J.contiguous().numpy(), z.detach().contiguous().numpy()
+    metre_maps = z_maps if metres is None else metres.detach().contiguous().numpy()
     weights = brightest = Weights.of(medium)
     if light is not None:
         brightest = Weights.of(light.planned(medium))
         weights = weights.seen_by(np.full((1, 3), light.daylight))
-    each = [medium] if len(medium) == 1 else [medium[n] for n in rows]
+    media = [medium] if len(medium) == 1 else [medium[n] for n in rows]
     ends = blurred_between(z, brightest)
-    lamps = [lamps_table(light, brightest, size, n) for n in rows]
-    media = [medium_table(weights, n) for n in rows]
-    tables = [(media[n], terms_table(each[n], far), lamps[n]) for n in rows]
-    gains = _gains(scenes, far, near, tables, development, light is not None)
+    tables = [
+        (
+            medium_table(weights, n),
+            terms_table(media[n], z_maps),
+            lamps_table(light, brightest, size, n),
+        )
+        for n in rows
+    ]
+    gains = _gains(scenes, z_maps, metre_maps, tables, development, light is not None)
     if plan is None:
         plan = plan_between(ends, medium, size, tolerance, brightest.seen_by(gains))
-    stack = plan_table(plan, size)
-    widths = [places_table(each[n], plan, size, ends) for n in rows]
-    normals, begins, cameras = _camera(development, gains, batch, size)
+    blurs = plan_table(plan, size)
+    widths = [places_table(media[n], plan, size, ends) for n in rows]
+    normals, begins, developments = _camera(development, gains, batch, size)
     highest = np.ones(batch, np.float32)
     if srgb and high > 1:
         highest *= torch.as_tensor(headroom(image)).float().flatten().numpy()
@@ -99,21 +104,32 @@ def form(
         samples = range(batch) if len(scenes) == 1 else (i,)
         for first in range(0, size[0], step):
             lines = range(first, min(first + step, size[0]))
-            grid, starts = _coarse_grids(scene, stack, lines)
+            grid, starts = _coarse_grids(scene, blurs, lines)
             for n in samples:
                 out, row = result[n].numpy(), n % len(medium)
-                outs = (_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)
-                maps = scene, far[n % len(far), 0], near[n % len(near), 0]
-                snow = _snow(medium, light, z, metres, n)
-                blurs, encoding = (widths[row], stack.stack, grid, starts), (srgb, highest[n])
-                camera = normals, begins[n], cameras[n % len(cameras)]
-                arguments: Any = (*maps, snow, *tables[row], *blurs, *camera, *encoding, *outs)
+                arguments: Any = (
+                    scene,
+                    z_maps[n % len(z_maps), 0],
+                    metre_maps[n % len(metre_maps), 0],
+                    _snow(medium, light, z, metres, n),
+                    *tables[row],
+                    widths[row],
+                    blurs.stack,
+                    grid,
+                    starts,
+                    normals,
+                    begins[n],
+                    developments[n % len(developments)],
+                    srgb,
+                    highest[n],
+                    *((_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)),
+                )
                 _in_bands(partial(kernels.render_rows, *arguments), lines, size[1])
     return result.to(image.dtype)
 
 
 def _snow(medium: Medium, light: Light | None, z: Tensor, metres: Tensor | None, n: int) -> Floats:
-    """The light of the particles before a picture of a batch (3xHxW, or 3x1x0)."""
+    """Light (3xHxW, or 3x1x0 for none) of the particles before a picture of a batch."""
     particles = flakes(medium, light, z, metres, n) if medium.snow else None
     if particles is None:
         return _NO_FLOATS
@@ -130,9 +146,9 @@ def _gains(
     metres: Floats,
     tables: Sequence[tuple[MediumTable, DistanceTable, LampsTable]],
     development: Development,
-    lit: bool,
+    has_light: bool,
 ) -> Array:
-    """As `Development.gain`: (B or 1, 3), or (B or 1, 3, 3)."""
+    """Gains (B or 1, 3), or (B or 1, 3, 3), as of `Development.gain`."""
     factors, balance = np.ones(3), 0.0
     if isinstance(development.white_balance, tuple):
         factors = np.array(development.white_balance)
@@ -145,17 +161,18 @@ def _gains(
     else:
         height, width = z.shape[-2:]
         points = _points(height, width)
-        lights, far, near = scenes.reshape(len(scenes), 3, -1), z.reshape(len(z), -1), metres
-        near = near.reshape(len(near), -1)
+        lights = scenes.reshape(len(scenes), 3, -1)
+        z, metres = z.reshape(len(z), -1), metres.reshape(len(metres), -1)
         matrices = np.empty((max(len(lights), len(z), len(tables)), 3, 3))
-        brightness = np.empty(len(points) if lit else 0, np.float32)
+        brightness = np.empty(len(points) if has_light else 0, np.float32)
         for n in range(len(matrices)):
             light, row = lights[n % len(lights)], tables[n % len(tables)]
-            maps = far[n % len(far)], near[n % len(near)]
+            maps = z[n % len(z)], metres[n % len(metres)]
             farthest = float(maps[0].max())
-            seen: Any = (light, *maps, width, farthest, points, *row, _LUMINANCE, brightness)
-            means, veil = kernels.meter(*seen)
-            if lit:
+            view = width, farthest, points
+            arguments: Any = (light, *maps, *view, *row, _LUMINANCE, brightness)
+            means, veil = kernels.meter(*arguments)
+            if has_light:
                 burnt = round(BURNT * METERED)
                 veil = float(np.partition(brightness, -burnt)[-burnt])
             matrices[n] = gain_at(means, veil, *camera)
@@ -164,7 +181,7 @@ def _gains(
 
 @lru_cache(maxsize=8)
 def _points(height: int, width: int) -> NDArray[np.uint32]:
-    """The flat indices of the metered pixels, in their order, as the caches like it."""
+    """Flat indices of the metered pixels, sorted, as that is fast to read."""
     points = metering_points(height, width, torch.device("cpu")).numpy()
     return np.sort(points).astype(np.uint32)
 
@@ -172,7 +189,9 @@ def _points(height: int, width: int) -> NDArray[np.uint32]:
 def _camera(
     development: Development, gains: Array, batch: int, size: tuple[int, int]
 ) -> tuple[Floats, Indices, list[DevelopmentTable]]:
-    """The sensor's normals, where each row of each channel begins in them, and the developments."""
+    """The sensor's normals; the index of the first for each row of each channel (Bx3xH); the tables
+    of developments.
+    """
     sensor, normals, begins = development.noise, _NO_FLOATS[0, 0], np.zeros((batch, 3, 0), np.int64)
     variance = 0.0, 0.0
     if sensor is not None:
@@ -183,12 +202,12 @@ def _camera(
     if gains.ndim == 2:
         gains = gains[:, None] * np.eye(3)
     flat = gains.reshape(-1, 9).astype(np.float32)
-    cameras = [DevelopmentTable(dark, photons, gain, gamut, tone, offset) for gain in flat]
-    return normals, begins, cameras
+    tables = [DevelopmentTable(dark, photons, gain, gamut, tone, offset) for gain in flat]
+    return normals, begins, tables
 
 
 def _decoded(image: Tensor, srgb: bool, beyond: bool) -> Tensor:
-    """Linear light of a picture of bytes, or of floating point; `beyond`: not all of it in 0…1."""
+    """Linear light of a picture of bytes or floating point; `beyond` if not all is in 0…1."""
     width = image.shape[-1]
     if image.dtype != torch.uint8:
         image = image.to(torch.float32)
@@ -207,7 +226,7 @@ def _decoded(image: Tensor, srgb: bool, beyond: bool) -> Tensor:
 
 @cache
 def _light_of_bytes(srgb: bool) -> Floats:
-    """The light of each byte (256), by the same arithmetic as floating point."""
+    """Light of each byte (256), by the same arithmetic as for floating point."""
     unit = np.arange(256, dtype=np.float32)[None] / np.float32(255)
     table = unit.copy()
     if srgb:
@@ -216,8 +235,8 @@ def _light_of_bytes(srgb: bool) -> Floats:
 
 
 def _coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats, Indices]:
-    """The lines of all coarse grids that some rows of a picture need, and where those of each would
-    start if they were whole.
+    """Lines of all coarse grids that some rows of a picture need, and the index at which those of
+    each grid would start if they were whole.
     """
     width, first = light.shape[-1], table.stack.back_first
     low, high = 3 * first[:, rows.start], 3 * (first[:, rows.stop - 1] + 4)
@@ -234,8 +253,9 @@ def _coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats,
 # ------------------------------------------------------------------------------ threads
 
 _LEAST = 1 << 17
-"""Pixels for each thread: with fewer, to wake one takes longer than it saves. (Half as many: a
-default picture of 256 px takes as long by two threads as by one, or longer beside other work.)
+"""Least number of pixels for each thread: with fewer, waking it takes longer than it saves. (With
+half as many, a default picture of 256 px takes as long by two threads as by one, or longer beside
+other work.)
 """
 
 _pool: ThreadPoolExecutor | None = None
@@ -244,25 +264,25 @@ _lock = Lock()
 
 
 def _in_bands(run: Callable[[int, int], None], lines: range, width: int, multiple: int = 1) -> None:
-    """Call `run(start, stop)` for lines of `width` px, in bands of multiples of so many lines, on
-    as many threads as torch may use; in a DataLoader's worker, on this one.
+    """Call `run(start, stop)` for bands of lines of `width` px, with a multiple of `multiple` lines
+    each: on as many threads as torch may use; in a DataLoader's worker, on this one.
     """
     threads = 1 if get_worker_info() else torch.get_num_threads()
     threads = min(threads, len(lines) * width // _LEAST)
     if threads < 2:
         run(lines.start, lines.stop)
         return
-    # several for each thread: one that is held up does not hold up all
-    each = multiple * -(-len(lines) // (4 * threads * multiple))
-    bands = deque(lines[::each])
+    # several bands for each thread: one that is held up does not hold up all
+    count = multiple * -(-len(lines) // (4 * threads * multiple))
+    starts = deque(lines[::count])
 
     def work() -> None:
-        while bands:
+        while starts:
             try:
-                start = bands.popleft()
+                start = starts.popleft()
             except IndexError:  # another thread has taken the last
                 return
-            run(start, min(start + each, lines.stop))
+            run(start, min(start + count, lines.stop))
 
     pool = _executor(threads - 1)
     helpers = [pool.submit(work) for _ in range(threads - 1)]
@@ -282,7 +302,7 @@ def _executor(threads: int) -> ThreadPoolExecutor:
 
 
 def _forget() -> None:
-    """After a fork, as a child has no threads but its own."""
+    """Forget the threads, which a child does not have after a fork."""
     global _pool, _lock
     _pool, _lock = None, Lock()
 

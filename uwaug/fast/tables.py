@@ -1,4 +1,4 @@
-"""What the compiled loops look up: a plan for pictures of one size, and a medium, as arrays."""
+"""Tables for the compiled loops: plans for pictures of one size, media and lamps as arrays."""
 
 import math
 from collections.abc import Callable
@@ -29,11 +29,11 @@ class CoarseTable(NamedTuple):
     """One coarse grid of h cells by w, for pictures of HxW.
 
     Attributes:
-        rows: the picture's rows, mirrored, from so many before the first on as cells need.
-        down_first (h), down (h, taps): the first of these rows for each cell, and weights from
-            there on.
-        columns, column_margin, across_first (w), across (w, taps): the same along rows.
-        back_first (W), back (W, 4): the first cell of each column, and weights from there on.
+        rows: indices of the picture's rows, mirrored, from as many before the first as cells need.
+        down_first (h), down (h, taps): place in `rows` of the first for each cell, and weights.
+        columns, across_first (w), across (w, taps): the same along rows.
+        column_margin: columns before the first.
+        back_first (W), back (W, 4): the first cell of each column, and weights.
     """
 
     rows: Indices
@@ -52,11 +52,11 @@ class StackTable(NamedTuple):
 
     Attributes:
         series (K, N): weights of the blurs, as Chebyshev series.
-        taps (n, reach + 1), pairs (n): of narrow blurs, the middle weight and one half; how many
-            of those count, an even number.
-        margin: px that the widest of them reaches.
-        rows, columns: of the picture, mirrored, from `margin` before the first on.
-        back_first (m, H), back (m, H, 4): the first cell of each row, and weights from there on.
+        taps (n, reach + 1): middle weight and one half of each narrow blur.
+        pairs (n): number of weights of a half that count, even.
+        margin: px that the widest narrow blur reaches.
+        rows, columns: indices in the picture, mirrored, from `margin` before the first.
+        back_first (m, H), back (m, H, 4): the first cell of each row on each grid, and weights.
     """
 
     series: Floats
@@ -77,12 +77,11 @@ class PlanTable(NamedTuple):
 
 
 class DistanceTable(NamedTuple):
-    """Numbers that PyTorch makes of distances, tabulated at 128 distances in each octave, between
-    which they are linear.
+    """N functions of the distance, tabulated at 128 distances in each octave, linear between them.
 
     Attributes:
         first: bits of the first distance, m, in single precision.
-        rows (NxE, or Nx0): N numbers at E distances.
+        rows (NxE, or Nx0): values at E distances.
     """
 
     first: np.int32
@@ -93,10 +92,10 @@ class DevelopmentTable(NamedTuple):
     """A development, see `uwaug.formation.development`.
 
     Attributes:
-        dark, photons: variance of the sensor's noise at light 0, and what it grows by with light.
-        gain (9): after the noise.
+        dark, photons: variance of the sensor's noise at light 0, and its growth with light.
+        gain (9): matrix that acts after the noise.
         gamut: share of the compression.
-        tone, tone_offset: of the curve.
+        tone, tone_offset: exponent and offset of the curve.
     """
 
     dark: np.float32
@@ -111,10 +110,10 @@ class MediumTable(NamedTuple):
     """A medium as the loops take it.
 
     Attributes:
-        rates (R): times −log2(e): those of the direct term, then the others.
-        direct (3, K), scatter (3, R), veil (3, R − K): weights; the veil's are those of e^−x − 1.
-            Of surfaces with spectra, direct and scatter have nine rows: for each channel of the
-            picture, those of the scene.
+        rates (R): rates times −log2(e), those of the direct term first.
+        direct (3, K), scatter (3, R), veil (3, R − K): weights; those of the veil for e^−x − 1.
+            For surfaces with spectra, direct and scatter have nine rows: three channels of the
+            scene for each of the picture.
     """
 
     rates: Floats
@@ -127,17 +126,19 @@ class LampsTable(NamedTuple):
     """N lamps as the loops take them; none for daylight. See `uwaug.light`.
 
     Attributes:
-        places (N, 9): of each lamp position, axis of length 1, cosines of the angles at which its
-            light begins to fade and has faded, and 1 if it shines to all sides.
-        radius, asymmetry: m², of a lamp; of the phase function.
-        nodes (2, Q): of the quadrature along a ray, and their weights.
-        rates (R): times −log2(e).
-        arriving (N, 3 or 9, R), fog (N, 3, R): weights of what surfaces and water send, in the
-            light of each lamp.
-        straight_rates (K), straight (S, K), all (S, R): of T_β and T_G, whose ratio is the share
-            that has come straight: of each channel, or one of all.
-        tangent: of a pixel at the middle of the view.
-        middle: column and row there.
+        places (N, 9): position, axis of length 1, cosines of the angles at which the light begins
+            to fade and has faded, and 1 if it shines to all sides.
+        radius: square of a lamp's radius, m².
+        asymmetry: g of the phase function.
+        nodes (2, Q): nodes and weights of the quadrature along a ray.
+        rates (R): rates times −log2(e).
+        arriving (N, 3 or 9, R), fog (N, 3, R): weights of the light from surfaces and from water,
+            for each lamp.
+        straight_rates (K): rates of T_β, times −log2(e).
+        straight (S, K), signal (S, R): weights of T_β and T_G, whose ratio is the share of light
+            that comes straight: S is 3, or 1 if all channels share it.
+        tangent: tangent of the angle of a pixel at the middle of the view.
+        middle (2): column and row there.
     """
 
     places: Floats
@@ -149,7 +150,7 @@ class LampsTable(NamedTuple):
     fog: Floats
     straight_rates: Floats
     straight: Floats
-    all: Floats
+    signal: Floats
     tangent: np.float32
     middle: Floats
 
@@ -158,21 +159,21 @@ class LampsTable(NamedTuple):
 
 _PLANS: Cache[PlanTable] = Cache(8 * 2**20)
 _GRIDS: Cache[tuple[CoarseTable, Indices, Floats]] = Cache(32 * 2**20)
-"""Coarse grids and their rows `back`: those of drawn waters take some 8 MiB for each size."""
+"""Coarse grids, with `back_first` and `back` of rows: 8 MiB or so for each size in random water."""
 
 
 def plan_table(plan: BlurPlan, size: Size) -> PlanTable:
-    """A plan for pictures of (height, width) `size`."""
+    """The table of a plan for pictures of (height, width) `size`."""
     table = _PLANS.get((plan, size))
     if table is None:
         table = _plan_table(plan, size)
-        # what the grids take is counted with them
+        # its grids are counted in `_GRIDS`
         _PLANS.put((plan, size), table, _bytes(table.stack))
     return table
 
 
 def _bytes(table: Any) -> int:
-    """Memory of all arrays of a table and of those in it."""
+    """Bytes of all arrays of a table and of those in it."""
     if isinstance(table, tuple):
         return sum(map(_bytes, table))
     return int(getattr(table, "nbytes", 0))
@@ -205,7 +206,7 @@ def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
 
 
 def _grid(node: Node, size: Size) -> tuple[CoarseTable, Indices, Floats]:
-    """A blur on a coarse grid for pictures of one size; first cell and weights of each row."""
+    """A blur on a coarse grid for pictures of one size; first cell and weights of their rows."""
     grid = _GRIDS.get((node, size))
     if grid is None:
         grid = _coarse_table(node, *size), *_rows_of("enlarge", node, size[0])
@@ -214,12 +215,12 @@ def _grid(node: Node, size: Size) -> tuple[CoarseTable, Indices, Floats]:
 
 
 def _pairs(node: Node) -> int:
-    """Pairs of taps beside the middle one: two at a time are added."""
+    """Pairs of taps beside the middle one; even, as the loops add two at a time."""
     return max(2, 2 * math.ceil(math.ceil(node.reach * node.sigma) / 2))
 
 
 def _taps(nodes: list[Node]) -> Floats:
-    """The middle weight and one half of each kernel, with zeros after it."""
+    """Middle weight and one half of each kernel, with zeros after it."""
     widest = max(map(_pairs, nodes), default=2)
     taps = np.zeros((len(nodes), widest + 1), np.float32)
     for row, node in zip(taps, nodes, strict=True):
@@ -249,8 +250,8 @@ def _coarse_table(node: Node, height: int, width: int) -> CoarseTable:
 
 
 def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
-    """First column and weights of every row of a matrix; 4, 8, … weights, some of them 0. Rows
-    that reach beyond the axis and back are folded.
+    """First column and weights of every row of a matrix; 4, 8, … weights, some of them 0. Rows that
+    reach beyond both ends of the axis are folded.
     """
     matrix = whole(kind, size, node)
     kernels = matrix.kernels
@@ -264,7 +265,7 @@ def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
 
 
 def _beyond(first: Indices, weights: Floats, size: int) -> int:
-    """How far the columns of a matrix reach beyond an axis."""
+    """Columns by which a matrix reaches beyond an axis."""
     end = int(first.max()) + int(weights.shape[1])
     return max(0, -int(first.min()), end - size)
 
@@ -277,17 +278,17 @@ def _mirrored(margin: int, size: int) -> Indices:
 # ------------------------------------------------------------------------------ media
 
 ENTRY_BITS = 16
-"""Bits of a distance in single precision that lie between two entries of a table: the rest of them
-tell which entry it is. With 128 entries in an octave pictures are right within 1e-6. (Tables evenly
-spaced in the logarithm, and all that a pixel needs by tables: benchmarks/CHOICES.md, loops.)
+"""Last bits of a distance in single precision, which lie between two entries of a table; the others
+are the entry. With 128 entries in an octave pictures are right within 1e-6. (Tables evenly spaced
+in the logarithm, and tables for all that a pixel needs: benchmarks/CHOICES.md, loops.)
 """
 
-_NEAREST = 1e-6
-"""m, and of the farthest distance: stands for the distance 0, which has no logarithm."""
+_MIN_DISTANCE = 1e-6
+"""m, and share of the farthest distance: stands for 0, which has no logarithm."""
 
 
 def medium_table(weights: Weights, n: int) -> MediumTable:
-    """The `n`-th row of a medium."""
+    """The table of the `n`-th row of a medium."""
     beta, direct, G, signal, veil = [rows[n].astype(np.float32) for rows in weights[:5]]
     rates = np.concatenate((beta, G)) * np.float32(-math.log2(math.e))
     return MediumTable(rates, direct, np.concatenate((-direct, signal), 1), -veil)
@@ -296,11 +297,11 @@ def medium_table(weights: Weights, n: int) -> MediumTable:
 def places_table(
     medium: Medium, plan: BlurPlan, size: Size, ends: tuple[float, float]
 ) -> DistanceTable:
-    """The place of the blur's width in its plan, −1…1, at distances between two, m, in pictures of
-    one size; of no entries where it does not vary.
+    """Places (−1…1) of the blur's widths in a plan, at distances between two ends, m, for pictures
+    of one size; without entries if the plan has one width.
     """
     if len(plan.sigmas) == 1:
-        return DistanceTable(np.int32(0), _NONE[2].reshape(1, 0))
+        return DistanceTable(np.int32(0), np.zeros((1, 0), np.float32))
     slope, offset = place_line(plan)
 
     def places(z: Array) -> Array:
@@ -312,11 +313,11 @@ def places_table(
 
 
 def terms_table(medium: Medium, z: Floats) -> DistanceTable:
-    """The light of a medium's further terms (3) at the distances of a picture; of no entries where
-    there are none.
+    """Light (3) of a medium's further terms at the distances of pictures; without entries if there
+    are none.
     """
     if not medium.further_terms(medium.b_mean.reshape(1, 1, 1, 1)):
-        return DistanceTable(np.int32(0), _NONE[2].reshape(3, 0))
+        return DistanceTable(np.int32(0), np.zeros((3, 0), np.float32))
 
     def light(z: Array) -> Array:
         at, total = torch.from_numpy(z)[None, None, None], np.zeros((3, len(z)))
@@ -328,46 +329,54 @@ def terms_table(medium: Medium, z: Floats) -> DistanceTable:
 
 
 def _tabulated(function: Callable[[Array], Array], ends: tuple[float, float]) -> DistanceTable:
-    """A table of a function of distances (N) that gives some numbers of each."""
-    near, far = max(ends[0], _NEAREST * ends[1], _NEAREST), max(ends[1], _NEAREST)
-    first, last = np.array([near, far], np.float32).view(np.int32) >> ENTRY_BITS
+    """The table of a function of distances (E) that returns one or several values of each, (E) or
+    (N, E), for distances between two ends, m.
+    """
+    low = max(ends[0], _MIN_DISTANCE * ends[1], _MIN_DISTANCE)
+    high = max(ends[1], _MIN_DISTANCE)
+    first, last = np.array([low, high], np.float32).view(np.int32) >> ENTRY_BITS
     entries = np.arange(first, last + 2, dtype=np.int32) << ENTRY_BITS
     rows = np.atleast_2d(function(entries.view(np.float32).astype(np.float64)))
     return DistanceTable(entries[0], rows.astype(np.float32))
 
 
 def lamps_table(light: Light | None, lamplit: Weights, size: Size, n: int) -> LampsTable:
-    """Lamps over the `n`-th row of a water (`uwaug.Medium.under_lamp`), in pictures of one size."""
+    """The table of lamps over the `n`-th row of a water (`uwaug.Medium.under_lamp`), in pictures of
+    one size.
+    """
     if light is None or not light.lamps:
-        return NO_LAMPS
+        return _NO_LAMPS
     row = Weights(*(rows[n % len(rows)][None] for rows in lamplit))
     colours = [lamp.power * np.array(lamp.color) for lamp in light.lamps]
-    seen = [row.seen_by(colour[None]) for colour in colours]
-    # what has come straight: of each channel; of surfaces with spectra, of all
-    sums = [
+    of_lamps = [row.seen_by(colour[None]) for colour in colours]
+    # one for each channel; for surfaces with spectra, one for all
+    straight, signal = [
         x[0] if len(x[0]) == 3 else x[0].sum(0, keepdims=True) for x in (row.direct, row.signal)
     ]
     places = [(*lamp.position, *lamp.axis, *lamp.fade, lamp.cone is None) for lamp in light.lamps]
-    middle = [(side - 1) / 2 for side in size[::-1]]
-    tangent = 2 * math.tan(math.radians(light.view / 2)) / size[1]
-    bits = -math.log2(math.e)
-    arrays = (
-        [NODES, NODE_WEIGHTS],
-        bits * row.G[0],
-        [x.signal[0] for x in seen],
-        [x.veil[0] for x in seen],
-        bits * row.beta[0],
-        *sums,
+    return LampsTable(
+        places=_floats(places),
+        radius=np.float32(LAMP_RADIUS_M**2),
+        asymmetry=np.float32(ASYMMETRY),
+        nodes=_floats([NODES, NODE_WEIGHTS]),
+        rates=_floats(-math.log2(math.e) * row.G[0]),
+        arriving=_floats([weights.signal[0] for weights in of_lamps]),
+        fog=_floats([weights.veil[0] for weights in of_lamps]),
+        straight_rates=_floats(-math.log2(math.e) * row.beta[0]),
+        straight=_floats(straight),
+        signal=_floats(signal),
+        tangent=np.float32(2 * math.tan(math.radians(light.view / 2)) / size[1]),
+        middle=_floats([(side - 1) / 2 for side in size[::-1]]),
     )
-    floats = (np.ascontiguousarray(x, np.float32) for x in arrays)
-    numbers = np.float32(LAMP_RADIUS_M**2), np.float32(ASYMMETRY)
-    last = np.float32(tangent), np.array(middle, np.float32)
-    return LampsTable._make([np.array(places, np.float32), *numbers, *floats, *last])
+
+
+def _floats(values: Any) -> Floats:
+    return np.ascontiguousarray(values, np.float32)
 
 
 _NONE = [np.zeros((0,) * axes, np.float32) for axes in range(4)]
 _0 = np.float32(0)
-NO_LAMPS = LampsTable._make(
+_NO_LAMPS = LampsTable._make(
     [_NONE[2], _0, _0, *[_NONE[n] for n in (2, 1, 3, 3, 1, 2, 2)], _0, _NONE[1]]
 )
-"""Daylight."""
+"""The table for daylight."""

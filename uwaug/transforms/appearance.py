@@ -1,4 +1,4 @@
-"""What of a picture hangs on the water more than on the scene, in twelve numbers."""
+"""Twelve numbers of a picture that follow from the water more than from the scene."""
 
 from typing import Any
 
@@ -24,16 +24,16 @@ WATER_FEATURES = {
     "corr_RG": (0.343, 1, "with red less like green", "with red more like green"),
     "dark": (0.129, 1, "with deeper shadows", "hazier"),
 }
-"""Of each number: its standard deviation in the 342 real photographs of benchmarks/results/
-photographs.csv (short side 256 px); how much it counts in `like`, colour twice, for which one looks
-(the others then come out as near); what a picture is that has less of it, and more.
+"""For each number: its standard deviation in the 342 real photographs of benchmarks/results/
+photographs.csv (short side 256 px); its weight in `like`, 2 for colour, which one looks at first
+(the others then come out as near); words for a picture that has less of it, and more.
 """
 
 _BLOCKS = 16
-"""Of a picture's short side: blocks in which the veil is looked for."""
+"""Blocks along a picture's short side, in which the veil is looked for."""
 
 _JITTER = 1e-8
-"""Variance that a constant channel has, of 0…1."""
+"""Variance added to each channel's, of values in 0…1: a constant one correlates with nothing."""
 
 
 def water_features(srgb: Values) -> dict[str, float]:
@@ -74,11 +74,11 @@ def water_features(srgb: Values) -> dict[str, float]:
     return {name: float(value) for name, value in numbers.items()}
 
 
-def correlation(one: Values, other: Values) -> float:
-    """Of two channels; 0 where one is constant."""
-    first, second = one - one.mean(), other - other.mean()
-    spreads = (np.mean(first**2) + _JITTER) * (np.mean(second**2) + _JITTER)
-    return float(np.mean(first * second) / np.sqrt(spreads))
+def correlation(a: Values, b: Values) -> float:
+    """Correlation of two channels; 0 if one is constant."""
+    a, b = a - a.mean(), b - b.mean()
+    spreads = (np.mean(a**2) + _JITTER) * (np.mean(b**2) + _JITTER)
+    return float(np.mean(a * b) / np.sqrt(spreads))
 
 
 def _veil(srgb: Values, lab: Values, side: int) -> Values:
@@ -86,8 +86,8 @@ def _veil(srgb: Values, lab: Values, side: int) -> Values:
     height, width = (size // side for size in srgb.shape[:2])
 
     def blocks(x: Values) -> Values:
-        cut = x[: height * side, : width * side].reshape(height, side, width, side)
-        return cut.transpose(0, 2, 1, 3).reshape(-1, side * side)
+        whole = x[: height * side, : width * side].reshape(height, side, width, side)
+        return whole.transpose(0, 2, 1, 3).reshape(-1, side * side)
 
     def rank(values: Values) -> Values:
         return np.argsort(np.argsort(values))

@@ -1,4 +1,4 @@
-"""Draws: all that is random about one picture, and the record of it."""
+"""Draws: all that is random about one picture, and its record."""
 
 import math
 from collections.abc import Mapping
@@ -11,16 +11,16 @@ Record = dict[str, Any]
 """A plain dictionary, {"samples": […]} with one for each picture, as JSON holds it."""
 
 NOUNS = ("water", "distance", "light", "development")
-"""What of a picture is random, by the names of the arguments of `RandomUnderwater`."""
+"""Arguments of `RandomUnderwater` that say what is random about a picture."""
 
 
 class Draw(NamedTuple):
     """All that is random about a picture.
 
     Attributes:
-        applied: whether it is degraded at all.
-        water, distance, light, development: what each noun has drawn.
-        measured: what is taken from one frame of a film for all of them: attributes of `Measured`.
+        applied: True if it is degraded at all.
+        water, distance, light, development: the draw of each noun.
+        measured: attributes of `Measured` that one frame of a film settles for all of them.
         moved: m by which field and snow of a film have drifted to the right.
     """
 
@@ -34,12 +34,12 @@ class Draw(NamedTuple):
 
 
 def uniform_of(seed: int) -> Uniform:
-    """What a picture of this seed (0…2^63) draws."""
+    """The numbers of 0…1 that a picture of this seed (0…2^63) draws."""
     return Uniform(seed.to_bytes(8))
 
 
 def of_frame(sample: Record, number: int) -> Record:
-    """What a picture of a record draws, as that frame of a film: its sensor's noise is its own."""
+    """The sample of a record, for one frame of a film: its sensor's noise is its own."""
     development = sample["development"]
     if "noise" not in development:
         return dict(sample)
@@ -49,8 +49,8 @@ def of_frame(sample: Record, number: int) -> Record:
 
 
 def read_draws(record: Any, count: int, nouns: Mapping[str, Noun]) -> list[Draw]:
-    """The draw of each of `count` pictures; refuses a record of other options, of another batch, or
-    with numbers outside of their domain.
+    """Read the draw of each of `count` pictures. Refuses a record of other options, of another
+    batch, or with numbers outside of their domain.
     """
     samples = record.get("samples") if isinstance(record, Mapping) else None
     if not isinstance(samples, list) or not all(isinstance(s, Mapping) for s in samples):
@@ -73,18 +73,17 @@ def read_draws(record: Any, count: int, nouns: Mapping[str, Noun]) -> list[Draw]
 
 def _require_measured(measured: Any) -> None:
     """Refuse what cannot have been measured of a film."""
-    known = {"median", "exposure", "white_balance"}
-    require_names(measured, known if measured else set(), "measured")
-    if measured:
-        median = measured["median"]
-        if not (isinstance(median, (int, float)) and median > 0):  # infinite in open water
-            raise ValueError(f"params: measured.median must be above 0 m, got {median!r:.80}")
-        checks.within("params: measured.exposure", measured["exposure"], -math.inf)
-        balance = measured["white_balance"]
-        if balance is not None and not (isinstance(balance, (list, tuple)) and len(balance) == 3):
-            expected = "three numbers, or null"
-            raise ValueError(
-                f"params: measured.white_balance must be {expected}, got {balance!r:.80}"
-            )
-        for factor in balance or ():
-            checks.positive("params: measured.white_balance", factor)
+    names = {"median", "exposure", "white_balance"}
+    require_names(measured, names if measured else set(), "measured")
+    if not measured:
+        return
+    median = measured["median"]
+    if not (isinstance(median, (int, float)) and median > 0):  # infinite in open water
+        raise ValueError(f"params: measured.median must be above 0 m, got {median!r:.80}")
+    checks.within("params: measured.exposure", measured["exposure"], -math.inf)
+    balance = measured["white_balance"]
+    if balance is not None and not (isinstance(balance, (list, tuple)) and len(balance) == 3):
+        expected = "three numbers, or null"
+        raise ValueError(f"params: measured.white_balance must be {expected}, got {balance!r:.80}")
+    for factor in balance or ():
+        checks.positive("params: measured.white_balance", factor)

@@ -18,18 +18,18 @@ from uwaug.transforms.samples import SampleTransform, pictures_of, replaced, typ
 
 @dataclass(eq=False, repr=False)
 class KeepVisible(SampleTransform):
-    """A `RandomUnderwater` that takes objects which can no longer be seen out of the targets.
+    """Degrade pictures, and take objects that can no longer be seen out of the targets.
 
-    It degrades as `augment` alone does, with the same draws, and finds for each object the mean of
-    `uwaug.contrast_left` over its mask, or over its box if it has no mask. Put it in the place of
-    `augment` in a pipeline, after `SanitizeBoundingBoxes`, which does not know "contrast".
+    Pictures come out as of `augment` alone, with the same draws. An object's contrast is the mean
+    of `uwaug.contrast_left` over its mask, or over its box if it has no mask. Put it in the place
+    of `augment` in a pipeline, after `SanitizeBoundingBoxes`, which does not know "contrast".
 
     Args:
-        augment: what degrades.
-        min_contrast: objects with less are taken out, 0…1.
+        augment: the `RandomUnderwater` that degrades pictures.
+        min_contrast: contrast below which objects are taken out, 0…1.
         flag: keep them, and set their "iscrowd" to 1: losses and scores leave those out.
         along: names of the entries that have a row for each object, where they are there.
-        apart: names of those that are of the picture, whatever their length.
+        apart: names of the entries that belong to the picture, whatever their length.
 
     Inputs:
         As for `augment`, one picture at a time. One dict holds the objects: the sample itself, or a
@@ -79,26 +79,26 @@ class KeepVisible(SampleTransform):
         sample = restore(scenes.formed())
         contrast_map = scenes.contrast_map()[0].detach()
         if _has_objects(sample):
-            return self._kept(sample, contrast_map)
+            return self._visible(sample, contrast_map)
         members = dict(enumerate(sample)) if isinstance(sample, (tuple, list)) else dict(sample)
         places = [place for place, member in members.items() if _has_objects(member)]
         if len(places) != 1:
             expected = "one dict with 'boxes' or 'masks', the sample or directly in it"
             raise ValueError(f"expected {expected}; found {len(places)}")
         (place,) = places
-        return replaced(sample, place, self._kept(members[place], contrast_map))
+        return replaced(sample, place, self._visible(members[place], contrast_map))
 
-    def _kept(self, target: Mapping[str, Any], contrast_map: Tensor) -> Any:
-        """A copy of a target, of the objects that a map of contrast (HxW) lets one see."""
-        visible = _means(target, contrast_map).float().cpu()
-        keep = visible >= self.min_contrast
+    def _visible(self, target: Mapping[str, Any], contrast_map: Tensor) -> Any:
+        """A copy of a target with those objects that can be seen by a map of contrast (HxW)."""
+        contrast = _means(target, contrast_map).float().cpu()
+        keep = contrast >= self.min_contrast
         changed: Any = copy.copy(target)
         if self.flag:
-            changed["contrast"] = visible
-            crowd = torch.as_tensor(target.get("iscrowd", torch.zeros_like(visible).long()))
+            changed["contrast"] = contrast
+            crowd = torch.as_tensor(target.get("iscrowd", torch.zeros_like(contrast).long()))
             changed["iscrowd"] = torch.where(keep.to(crowd.device), crowd, 1)
             return changed
-        known = {*self.along, *self.apart, *self.augment.keys}
+        names = {*self.along, *self.apart, *self.augment.keys}
         for name, value in target.items():
             count = len(value) if isinstance(value, (np.ndarray, list, tuple)) else None
             count = len(value) if isinstance(value, Tensor) and value.ndim else count
@@ -107,16 +107,16 @@ class KeepVisible(SampleTransform):
                     got = f"target[{name!r}] has {count} rows for {len(keep)} objects"
                     raise ValueError(f"{got}: expected one each")
                 changed[name] = _rows(value, keep)
-            elif name not in known and count == len(keep) and not bool(keep.all()):
+            elif name not in names and count == len(keep) and not bool(keep.all()):
                 got = f"target[{name!r}] has a row for each of {count} objects, it seems"
                 raise ValueError(
                     f"{got}: name it in along=…, or in apart=… if it is of the picture"
                 )
-        changed["contrast"] = visible[keep]
+        changed["contrast"] = contrast[keep]
         return changed
 
     def extra_repr(self) -> str:
-        """What `repr` shows besides `augment`."""
+        """Options that `repr` shows besides `augment`."""
         return f"min_contrast={self.min_contrast}, flag={self.flag}"
 
 
@@ -125,7 +125,7 @@ def _has_objects(value: Any) -> bool:
 
 
 def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
-    """The mean of a map (HxW) over each object, (N); 0 of one without pixels."""
+    """Mean of a map (HxW) over each object, (N); 0 for one without pixels."""
     if "masks" in target:
         masks = typed(torch.as_tensor(target["masks"]), Tensor).to(contrast_map.device) != 0
         if masks.shape[1:] != contrast_map.shape:

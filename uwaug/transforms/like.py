@@ -1,4 +1,4 @@
-"""`like`: waters that make pictures look like given photographs. It searches; it knows no physics
+"""`like`: waters that make pictures look like given photographs. It searches, and knows no physics
 beyond that of the draws.
 """
 
@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from dataclasses import field as option
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,39 +25,39 @@ from uwaug.transforms.draws import Record, read_draws, uniform_of
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import typed
 
-_SHORT = 128
+_SHORT_SIDE_PX = 128
 """px, short side of the pictures that are looked at."""
 
-_BROAD, _BETWEEN = 0.4, 0.2
+_NEW_SHARE, _BETWEEN_SHARE = 0.4, 0.2
 """Shares of the draws that are new, and that lie between two good ones; the others try the best on
 more pictures: what is near on one may be so by what that picture shows. (Other shares, rounds and
 numbers of draws kept: benchmarks/CHOICES.md, how constants were chosen.)
 """
 
 _PARENTS = 15
-"""The best of the new draws, between which others are made."""
+"""Number of the best new draws, between which others are made."""
 
 _KEPT = ("water", "light", "development")
 """Nouns whose draws are kept; distances belong to a picture."""
 
-_MORE = 4
+_MORE_PICTURES = 4
 """Pictures on which the best are tried besides their first."""
 
-_FAR = 1.0
-"""Standard deviations of photographs from which a warning is due."""
+_UNLIKE_FROM = 1.0
+"""Standard deviations of photographs from which on a warning is due."""
 
 _SPREADS, _COUNTS, *_ = map(np.array, zip(*WATER_FEATURES.values(), strict=True))
 _UNITS = _SPREADS * np.sqrt(np.mean(_COUNTS**2)) / _COUNTS
-"""What is 1 of each number: a standard deviation of photographs, on average."""
+"""The unit of each number: a standard deviation of photographs, on average."""
 
 
 class Nearness(NamedTuple):
-    """How near kept draws came to photographs; as text, in a sentence.
+    """Nearness of draws to photographs; as text, a sentence.
 
     Attributes:
-        kept, drawn: distance of the kept draws and of new ones, median, in standard deviations of
+        kept, drawn: median distance of the kept draws, and of new ones, in standard deviations of
             photographs, of a number on average.
-        doubt: what is off, in words, where even the kept ones are far; else empty.
+        doubt: what is off, in words, if even the kept draws are far; else empty.
     """
 
     kept: float
@@ -77,7 +78,7 @@ class UnderwaterLike(RandomUnderwater):
         kept: {"water": …, "light": …, "development": …}, as samples of `make_params` have them;
             picked with equal weight. What they leave out is drawn for each picture: distances, and
             the seeds of medium field, particles and noise.
-        nearness: how near `like` came; not in `to_dict`.
+        nearness: of the kept draws to the photographs; not in `to_dict`.
 
     Raises:
         ValueError: if there is none, or one is none of this transform's draws.
@@ -98,13 +99,13 @@ class UnderwaterLike(RandomUnderwater):
         self.kept, self.nearness = kept, nearness
         if not self.kept:
             raise ValueError("kept: expected at least one, got none")
-        drawn = super()._sample(uniform_of(0))
-        for sample in self.kept:
-            read_draws({"samples": [_in_water(drawn, sample)]}, 1, self._nouns)
+        sample = super()._sample(uniform_of(0))
+        for draws in self.kept:
+            read_draws({"samples": [_with_kept(sample, draws)]}, 1, self._nouns)
 
     def _sample(self, uniform: Uniform) -> Record:
         kept = self.kept[int(uniform("kept") * len(self.kept))]
-        return _in_water(super()._sample(uniform), kept)
+        return _with_kept(super()._sample(uniform), kept)
 
 
 def like(
@@ -117,11 +118,11 @@ def like(
     keep: int = 10,
     seed: int = 0,
 ) -> UnderwaterLike:
-    """Random waters in which pictures look like a photograph, "like that one".
+    """Find random waters in which pictures look like a photograph, "like that one".
 
     Draws of `augment` are held against the photograph by colour and veil: twelve numbers of a
-    picture that hang on water more than on the scene. What is nearest is tried on more pictures,
-    and kept. It says what looks alike and not which water it is; for that there is `uwaug.fit`.
+    picture that follow from water more than from the scene. Those that are nearest are tried on
+    more pictures, and kept. They look alike; which water it is, `uwaug.fit` says.
 
     Args:
         reference: photographs taken under water, one or several (3xHxW, a batch, or a list), in
@@ -134,17 +135,17 @@ def like(
         draws: pictures that are made for each reference, of which 300 take some 3 s; at least 15
             times `keep`.
         keep: draws to keep.
-        seed: of all that is random.
+        seed: of all random numbers.
 
     Returns:
         A `RandomUnderwater` in every respect, whose draws are those kept. Medium field, particles,
         noise and made-up distances are drawn anew for each picture.
 
     Raises:
-        TypeError, ValueError: if an argument does not suit, naming what came and what was expected.
+        TypeError, ValueError: if an argument does not suit.
 
     Warns:
-        UserWarning: if even the kept draws look unlike a reference, and in what.
+        UserWarning: if even the kept draws look unlike a reference; says in what.
 
     Examples:
         >>> import torch
@@ -164,17 +165,17 @@ def like(
     if len(maps) != len(scenes):
         raise ValueError(f"distance has {len(maps)} maps for {len(scenes)} pictures")
     trials = _Trials(augment, list(zip(scenes, maps, strict=True)), seed)
-    kept, near, doubts = [], [], []
+    kept, of_kept, doubts = [], [], []
     with muted():
-        new = [trials.new(i) for i in range(round(_BROAD * draws))]
-        drawn = [_away(draw, photograph) for photograph in photographs for draw in new]
+        new = [trials.new(i) for i in range(round(_NEW_SHARE * draws))]
+        of_new = [_unlikeness(draw, photograph) for photograph in photographs for draw in new]
         for photograph in photographs:
             best = trials.best(new, photograph, draws, keep)
             kept += [draw.sample for draw in best]
-            near += [_away(draw, photograph) for draw in best]
+            of_kept += [_unlikeness(draw, photograph) for draw in best]
             doubts.append(_doubt(best, photograph))
     nearness = Nearness(
-        float(np.median(near)), float(np.median(drawn)), "; ".join(filter(None, doubts))
+        float(np.median(of_kept)), float(np.median(of_new)), "; ".join(filter(None, doubts))
     )
     if nearness.doubt:
         warnings.warn(nearness.doubt, stacklevel=2)
@@ -183,11 +184,11 @@ def like(
 
 
 class _Draw(NamedTuple):
-    """Water and numbers of a sample, and what it looks like in those pictures it was tried on."""
+    """Draws of a sample, and the features of the pictures on which they were tried."""
 
     sample: Record
-    first: int  # of these pictures, which stand in a ring
-    seen: list[Values]
+    first: int  # index of the first of these pictures, which are tried in turn
+    features: list[Values]
 
 
 class _Trials:
@@ -222,63 +223,60 @@ class _Trials:
 
     def tried(self, draw: _Draw) -> _Draw:
         """The same draw, tried on one more picture."""
-        picture, z = self.scenes[(draw.first + len(draw.seen)) % len(self.scenes)]
-        (drawn,) = self.augment.make_params(picture, self.generator)["samples"]
-        params = {"samples": [_in_water({**drawn, "applied": True}, draw.sample)]}
-        made = self.augment.transform(picture, z, params)
+        picture, metres = self.scenes[(draw.first + len(draw.features)) % len(self.scenes)]
+        (sample,) = self.augment.make_params(picture, self.generator)["samples"]
+        params = {"samples": [_with_kept({**sample, "applied": True}, draw.sample)]}
+        result = self.augment.transform(picture, metres, params)
         if self.augment.development.color_space == "linear":
-            made = linear_to_srgb(made).clamp(0, 1)
-        draw.seen.append(_features(made))
+            result = linear_to_srgb(result).clamp(0, 1)
+        draw.features.append(_features(result))
         return draw
 
     def best(self, new: list[_Draw], photograph: Values, draws: int, keep: int) -> list[_Draw]:
         """The draws that are nearest to a photograph, of new ones and of some between them."""
-
-        def away(draw: _Draw) -> float:
-            return _away(draw, photograph)
-
-        parents = sorted(new, key=away)[:_PARENTS]
-        among = list(new)
-        for _ in range(round(_BETWEEN * draws)):
+        unlikeness = partial(_unlikeness, photograph=photograph)
+        parents = sorted(new, key=unlikeness)[:_PARENTS]
+        candidates = list(new)
+        for _ in range(round(_BETWEEN_SHARE * draws)):
             first, second = torch.randperm(len(parents), generator=self.generator)[:2].tolist()
-            among.append(self.between(parents[first], parents[second]))
-        count = max(keep, round((1 - _BROAD - _BETWEEN) * draws / _MORE))
-        tried = sorted(among, key=away)[:count]
-        for draw in tried:
-            for _ in range(_MORE):
+            candidates.append(self.between(parents[first], parents[second]))
+        count = max(keep, round((1 - _NEW_SHARE - _BETWEEN_SHARE) * draws / _MORE_PICTURES))
+        candidates = sorted(candidates, key=unlikeness)[:count]
+        for draw in candidates:
+            for _ in range(_MORE_PICTURES):
                 self.tried(draw)
-        return sorted(tried, key=away)[:keep]
+        return sorted(candidates, key=unlikeness)[:keep]
 
 
-def _without_seeds(drawn: Mapping[str, Any]) -> dict[str, Any]:
-    """What is drawn of a water and a camera, but for what belongs to a picture."""
-    kept = {name: value for name, value in drawn.items() if not name.endswith("seed")}
+def _without_seeds(draw: Mapping[str, Any]) -> dict[str, Any]:
+    """A noun's draw without what belongs to a picture."""
+    kept = {name: value for name, value in draw.items() if not name.endswith("seed")}
     inner = {n: _without_seeds(value) for n, value in kept.items() if isinstance(value, Mapping)}
     return kept | inner
 
 
-def _in_water(drawn: Record, kept: Mapping[str, Any]) -> Record:
-    """A sample with what is kept in place of what was drawn."""
-    changed = dict(drawn)
+def _with_kept(sample: Record, kept: Mapping[str, Any]) -> Record:
+    """A sample with kept values in place of its own."""
+    changed = dict(sample)
     for name, value in kept.items():
         if isinstance(value, tuple):  # as lists are read
             value = list(value)
-        inner = isinstance(value, Mapping) and value and isinstance(drawn.get(name), Mapping)
-        changed[name] = _in_water(drawn[name], value) if inner else value
+        inner = isinstance(value, Mapping) and value and isinstance(sample.get(name), Mapping)
+        changed[name] = _with_kept(sample[name], value) if inner else value
     return changed
 
 
-def _small(name: str, given: Any, channels: int) -> list[Tensor]:
+def _small(name: str, tensors: Any, channels: int) -> list[Tensor]:
     """Pictures or maps (CxHxW), small, on the host; of one, a batch, or a list of either."""
     small: list[Tensor] = []
-    for tensor in given if isinstance(given, (list, tuple)) else [given]:
+    for tensor in tensors if isinstance(tensors, (list, tuple)) else [tensors]:
         if channels == 1 or getattr(tensor, "dtype", None) != torch.uint8:
             checks.floating(name, tensor, "" if channels == 1 else "; or uint8")
         checks.picture(name, tensor, channels)
         values = typed(tensor, Tensor).detach().cpu()
         values = values / 255 if values.dtype == torch.uint8 else values.float()
         values = values if values.ndim == 4 else values[None]
-        scale = _SHORT / min(values.shape[-2:])
+        scale = _SHORT_SIDE_PX / min(values.shape[-2:])
         size = [round(scale * side) for side in values.shape[-2:]]
         if channels == 1:
             small += interpolate(values, size, mode="nearest")
@@ -291,24 +289,24 @@ def _small(name: str, given: Any, channels: int) -> list[Tensor]:
 
 
 def _features(srgb: Tensor) -> Values:
-    """What a picture (3xHxW) looks like, in standard deviations of photographs (12)."""
+    """The water features (12) of a picture (3xHxW), in standard deviations of photographs."""
     features = water_features(srgb.permute(1, 2, 0).numpy())
     values: Values = np.array([features[name] for name in WATER_FEATURES]) / _UNITS
     return values
 
 
-def _away(draw: _Draw, photograph: Values) -> float:
-    """How far a draw is from a photograph: mean over the pictures it was tried on."""
-    return float(np.sqrt(((np.array(draw.seen) - photograph) ** 2).mean(1)).mean())
+def _unlikeness(draw: _Draw, photograph: Values) -> float:
+    """Distance of a draw from a photograph: mean over the pictures on which it was tried."""
+    return float(np.sqrt(((np.array(draw.features) - photograph) ** 2).mean(1)).mean())
 
 
 def _doubt(best: list[_Draw], photograph: Values) -> str:
-    """What is off with draws that are far from a photograph."""
-    away = np.median([_away(draw, photograph) for draw in best])
-    if away < _FAR:
+    """A sentence on what is off with draws that are far from a photograph; else empty."""
+    unlikeness = np.median([_unlikeness(draw, photograph) for draw in best])
+    if unlikeness < _UNLIKE_FROM:
         return ""
-    over = np.mean([np.mean(draw.seen, 0) for draw in best], 0) - photograph
-    worst = np.argsort(-abs(over))[:3]
-    words = [list(WATER_FEATURES.values())[i][3 if over[i] > 0 else 2] for i in worst]
-    off = f"{away:.2f} standard deviations of photographs away: {', '.join(words)}"
+    excess = np.mean([np.mean(draw.features, 0) for draw in best], 0) - photograph
+    worst = np.argsort(-abs(excess))[:3]
+    words = [list(WATER_FEATURES.values())[i][3 if excess[i] > 0 else 2] for i in worst]
+    off = f"{unlikeness:.2f} standard deviations of photographs away: {', '.join(words)}"
     return f"even the nearest draws look unlike the reference, {off}"

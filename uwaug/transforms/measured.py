@@ -1,4 +1,4 @@
-"""All that a draw may know of a picture."""
+"""Measurements of a picture, on which its draw may depend."""
 
 import math
 from collections.abc import Mapping
@@ -12,19 +12,19 @@ from uwaug._support import checks
 from uwaug.formation.development import metering_points
 
 SAMPLED = 2048
-"""Pixels of which the median distance is taken: it is right within 2 %."""
+"""Number of pixels of which the median distance is taken; it is right within 2 %."""
 
 
 class Measured(NamedTuple):
-    """All that a draw may know of a picture, its distances and its camera.
+    """Measurements of a picture, its distances and its camera, on which its draw may depend.
 
     Attributes:
         width: px.
-        darkest, brightest: values, of 0…1.
+        darkest, brightest: ends of the values, of 0…1.
         nearest, farthest, median: distances, m; the last two of all but open water, and infinite
             where there is nothing else.
-        metered: whether an exposure makes up for the light that is lost above the scene.
-        lamps: whether lamps shine from places in metres, which no scene may be scaled beside.
+        metered: True if an exposure makes up for the light that is lost above the scene.
+        lamps: True if lamps stand at places in metres: then no scene may be scaled.
         exposure: stops on which a meter has settled, for all frames of a film; None: to be metered.
         white_balance: factors of red, green and blue, likewise.
         moved: m by which field and snow of a film have drifted to the right.
@@ -42,13 +42,13 @@ class Measured(NamedTuple):
     white_balance: tuple[float, float, float] | None = None
     moved: float = 0.0
 
-    def of_film(self, measured: Mapping[str, Any], moved: float) -> "Measured":
-        """The same, with what is measured once for all frames of a film."""
-        if not measured and not moved:
+    def of_film(self, settled: Mapping[str, Any], moved: float) -> "Measured":
+        """The same picture, with what is settled once for all frames of its film."""
+        if not settled and not moved:
             return self
-        balance = measured.get("white_balance")  # a list, as JSON holds it
-        settled = {**measured, "white_balance": balance and tuple(balance)}
-        return self._replace(**settled, moved=moved)
+        balance = settled.get("white_balance")  # a list, as JSON holds it
+        attributes = {**settled, "white_balance": balance and tuple(balance)}
+        return self._replace(**attributes, moved=moved)
 
     def scaled(self, scale: float) -> "Measured":
         """The same scene, so many times as large."""
@@ -61,52 +61,53 @@ class Measured(NamedTuple):
 _LENGTHS = ("nearest", "farthest", "median", "moved")
 
 
-def measured(pictures: Tensor, z: Tensor, *, metered: bool, lamps: bool) -> list[Measured]:
-    """What is known of pictures (Bx3xHxW) and their distances (Bx1xHxW, m): all that the host waits
-    for where they are on a device.
+def measure(pictures: Tensor, metres: Tensor, *, metered: bool, lamps: bool) -> list[Measured]:
+    """Measure pictures (Bx3xHxW) and their distances (Bx1xHxW, m): all that the host waits for
+    where they are on a device.
     """
-    points = metering_points(z.shape[-2], z.shape[-1], z.device)[:SAMPLED]
-    values, metres = pictures.detach().flatten(1), z.detach().flatten(1)
-    rows_of = _rows_of_host if checks.on_host(z) else _rows_of_device
-    white, looks = 1.0 if pictures.is_floating_point() else 255.0, []
+    height, width = metres.shape[-2:]
+    points = metering_points(height, width, metres.device)[:SAMPLED]
+    values, distances = pictures.detach().flatten(1), metres.detach().flatten(1)
+    rows_of = _rows_on_host if checks.on_host(metres) else _rows_on_device
+    white, measurements = 1.0 if pictures.is_floating_point() else 255.0, []
     for i, (darkest, brightest, nearest, farthest, median) in enumerate(
-        rows_of(values, metres, points)
+        rows_of(values, distances, points)
     ):
-        if math.isinf(median):  # all open water, or only where it was looked
-            median = _median(metres[i].cpu().numpy())
+        if math.isinf(median):  # all is open water, or all of the points
+            median = _median(distances[i].cpu().numpy())
         ends = darkest / white, brightest / white, nearest, farthest
-        looks.append(Measured(z.shape[-1], *ends, median, metered, lamps))
-    return looks
+        measurements.append(Measured(width, *ends, median, metered, lamps))
+    return measurements
 
 
-def _rows_of_host(values: Tensor, metres: Tensor, points: Tensor) -> list[list[float]]:
-    """Ends of values, ends and median of distances. Along a dimension PyTorch takes 15 times as
-    long on a CPU as over all of a picture.
+def _rows_on_host(values: Tensor, distances: Tensor, points: Tensor) -> list[list[float]]:
+    """Ends of values, ends and median of distances, for each picture. Along a dimension PyTorch
+    takes 15 times as long on a CPU as over all of a picture.
     """
     rows = []
-    for picture, far in zip(values, metres, strict=True):
-        nearest, farthest = checks.extent(far)
+    for picture, metres in zip(values, distances, strict=True):
+        nearest, farthest = checks.extent(metres)
         if math.isinf(farthest):
-            farthest = checks.extent(far.nan_to_num(posinf=0.0))[1] or math.inf
-        median = _median(far.index_select(0, points).numpy())
+            farthest = checks.extent(metres.nan_to_num(posinf=0.0))[1] or math.inf
+        median = _median(metres.index_select(0, points).numpy())
         rows.append([*checks.extent(picture), nearest, farthest, median])
     return rows
 
 
-def _rows_of_device(values: Tensor, metres: Tensor, points: Tensor) -> list[list[float]]:
-    """The same, in one transfer."""
-    solid = torch.where(metres.isfinite(), metres, -math.inf).amax(1).abs()
-    some = metres.index_select(1, points).sort(1).values  # open water and NaN come last
-    middle = some.isfinite().sum(1, keepdim=True) // 2
-    median = some.gather(1, middle.clamp(max=some.shape[1] - 1))[:, 0]
-    columns = (values.amin(1), values.amax(1), metres.amin(1), solid, median)
-    kind = torch.promote_types(metres.dtype, torch.float32)
+def _rows_on_device(values: Tensor, distances: Tensor, points: Tensor) -> list[list[float]]:
+    """The same as `_rows_on_host`, in one transfer."""
+    solid = torch.where(distances.isfinite(), distances, -math.inf).amax(1).abs()
+    samples = distances.index_select(1, points).sort(1).values  # open water and NaN come last
+    middle = samples.isfinite().sum(1, keepdim=True) // 2
+    median = samples.gather(1, middle.clamp(max=samples.shape[1] - 1))[:, 0]
+    columns = (values.amin(1), values.amax(1), distances.amin(1), solid, median)
+    kind = torch.promote_types(distances.dtype, torch.float32)
     rows: list[list[float]] = torch.stack([x.to(kind) for x in columns], 1).cpu().tolist()
     return rows
 
 
-def _median(metres: Any) -> float:
-    """The median of distances (N), of two in the middle the farther one; infinite if all are."""
-    solid = metres[np.isfinite(metres)]
+def _median(distances: Any) -> float:
+    """Median of distances (N), of two in the middle the farther one; infinite if all are."""
+    solid = distances[np.isfinite(distances)]
     middle = solid.size // 2
     return float(np.partition(solid, middle)[middle]) if solid.size else math.inf

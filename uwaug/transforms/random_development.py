@@ -1,4 +1,4 @@
-"""What is random about a camera."""
+"""Random development: what a camera makes of the light."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, get_args
@@ -15,14 +15,14 @@ from uwaug.transforms.measured import Measured
 @codec.plain
 @dataclass(frozen=True, repr=False)
 class RandomDevelopment(Noun):
-    """From what the development of each picture is drawn, see `uwaug.Development`.
+    """Draws the development of each picture, see `uwaug.Development`.
 
     A range is a number or (low, high), drawn uniformly.
 
     Attributes:
-        exposure: stops.
-        metered: whether they count from an automatic exposure, which keeps the mean luminance of
-            the scene. If not, pictures get as dark as it is down there.
+        exposure: stops, counted from an automatic exposure if `metered`.
+        metered: True for an automatic exposure, which keeps the mean luminance of the scene; False
+            for pictures as dark as it is down there.
         white_balance, saturation, gamut, tone: as for `uwaug.Development`.
         color_space: of pictures, "srgb" or "linear".
         noise: the sensor, a `uwaug.Sensor` whose numbers may be ranges, full_well drawn uniformly
@@ -58,13 +58,13 @@ class RandomDevelopment(Noun):
         checks.one_of("color_space", self.color_space, get_args(ColorSpace))
         self.require_ranges()
 
-    def of(self, drawn: Drawn, seen: Measured) -> Development:
+    def of(self, draw: Drawn, measured: Measured) -> Development:
         """The development of a picture; that of a film has been settled."""
-        options: dict[str, Any] = {**drawn, "metered": self.metered}
+        options: dict[str, Any] = {**draw, "metered": self.metered}
         if self.noise is not None:
-            options["noise"] = self.noise.of(drawn["noise"])
-        if seen.exposure is not None:
-            options |= {"exposure": seen.exposure, "metered": False}
-        if seen.white_balance is not None:
-            options["white_balance"] = seen.white_balance
+            options["noise"] = self.noise.of(draw["noise"])
+        if measured.exposure is not None:
+            options |= {"exposure": measured.exposure, "metered": False}
+        if measured.white_balance is not None:
+            options["white_balance"] = measured.white_balance
         return Development(**options)

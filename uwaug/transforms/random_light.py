@@ -1,4 +1,4 @@
-"""What is random about light: daylight, or lamps and what of daylight is left beside them."""
+"""Random light: daylight, or lamps with what is left of daylight beside them."""
 
 import math
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ T = TypeVar("T")
 
 
 class Rig(NamedTuple):
-    """Where lamps hang.
+    """A mount of lamps.
 
     Attributes:
-        lamps: the fewest and the most of them.
-        aside, above: from the lens to the outermost, m.
+        lamps: least and largest number of them.
+        aside, above: m from the lens to the outermost lamp, least and largest.
     """
 
     lamps: tuple[int, int]
@@ -32,33 +32,33 @@ RIGS = {
     "diver": Rig((1, 2), (0.3, 0.7), (-0.1, 0.5)),
     "strobe": Rig((1, 2), (0.08, 0.2), (0.0, 0.15)),
 }
-"""On a bar of a vehicle, on a diver's arms, and at the lens."""
+"""A bar of a vehicle, a diver's arms, and strobes at the lens."""
 
-_PLACES = ((1.0, 1.0), (-1.0, 1.0), (0.4, 0.3), (-0.4, 0.3))
-"""Of the lamps of a rig, in turn: shares of `aside` and `above`."""
+_LAMP_PLACES = ((1.0, 1.0), (-1.0, 1.0), (0.4, 0.3), (-0.4, 0.3))
+"""Places of the lamps of a rig, in turn: shares of `aside` and `above`."""
 
-_OPEN_WATER = 8.0
+_OPEN_WATER_M = 8.0
 """m: stands for the median distance where all is open water."""
 
 
 @codec.plain
 @dataclass(frozen=True, repr=False)
 class RandomLight(Noun):
-    """From what the light of each picture is drawn: some are taken at night, or where daylight
-    hardly comes, by lamps near the camera.
+    """Draws the light of each picture: daylight for most, and for some lamps near the camera, as at
+    night or where hardly any daylight comes.
 
     A range is a number or (low, high), drawn uniformly.
 
     Attributes:
-        share: of the pictures that lamps light, 0…1.
-        rigs: on what lamps hang, of "vehicle" (2 to 4, above and beside), "diver" (1 or 2, on arms)
+        share: share of pictures that lamps light, 0…1.
+        rigs: mounts of lamps, of "vehicle" (2 to 4, above and beside), "diver" (1 or 2, on arms)
             and "strobe" (1 or 2, at the lens); picked with equal weight.
         daylight: factor of daylight beside the lamps, see `uwaug.Light`.
-        power: stops by which all lamps together make a white plate at the median distance brighter
-            than daylight at the surface does, in air: so do they reach the scene.
+        power: stops by which all lamps together make a white plate at the median distance, in air,
+            brighter than daylight at the surface does.
         cone: as for `uwaug.Lamp`, degrees.
-        across, down: where at the median distance the lamps aim, in shares of that distance, right
-            of the middle and below it; the view ends at .58.
+        across, down: point at the median distance at which the lamps aim, in shares of that
+            distance, right of the middle and below it; the view ends at .58.
         tint: stops by which the lamps' blue is above their red, beside daylight: −1.7 of a halogen
             lamp of 3000 K, .3 of an LED of 6500 K.
 
@@ -86,51 +86,51 @@ class RandomLight(Noun):
         self.require_ranges()
 
     def ranges(self) -> dict[str, Range | None]:
-        """See `Noun.ranges`; with a rig, how many lamps it has, and where on it they hang."""
+        """See `Noun.ranges`; with a rig, its count of lamps, and where on it they hang."""
         places = {"rig": (0.0, 1.0), "count": (0.0, 1.0), "aside": (-1.0, 1.0), "above": (0.0, 1.0)}
         return {**super().ranges(), **places}
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
-        """What a picture draws; nothing by daylight."""
+        """See `Noun.drawn`; empty by daylight."""
         return super().drawn(uniform) if uniform("share") < self.share else {}
 
-    def require(self, drawn: Drawn, name: str) -> None:
+    def require(self, draw: Drawn, name: str) -> None:
         """See `Noun.require`."""
-        if drawn != {}:
-            super().require(drawn, name)
+        if draw != {}:
+            super().require(draw, name)
 
     def random(self) -> list[str]:
         """See `Noun.random`."""
         names = super().random()
         return ["share", *names] if self.share > 0 else []
 
-    def of(self, drawn: Drawn, seen: Measured) -> Light | None:
+    def of(self, draw: Drawn, measured: Measured) -> Light | None:
         """The light of a picture; None for daylight."""
-        if not drawn:
+        if not draw:
             return None
-        metres = seen.median if math.isfinite(seen.median) else _OPEN_WATER
-        rig = RIGS[_picked(drawn["rig"], self.rigs)]
-        fewest, most = rig.lamps
-        count = _picked(drawn["count"], range(fewest, most + 1))
+        metres = measured.median if math.isfinite(measured.median) else _OPEN_WATER_M
+        rig = RIGS[_picked(draw["rig"], self.rigs)]
+        low, high = rig.lamps
+        count = _picked(draw["count"], range(low, high + 1))
         # of −1…1 the sign says on which side the first lamp is
-        side = drawn["aside"]
+        side = draw["aside"]
         aside = math.copysign(_between(rig.aside, abs(side)), side)
-        above = _between(rig.above, drawn["above"])
-        target = drawn["across"] * metres, drawn["down"] * metres
-        tint = drawn["tint"]
+        above = _between(rig.above, draw["above"])
+        target = draw["across"] * metres, draw["down"] * metres
+        tint = draw["tint"]
         lamps = []
-        for right, up in _PLACES[:count]:
+        for right, up in _LAMP_PLACES[:count]:
             x, y = right * aside, -up * above
             lamps.append(
                 Lamp(
                     (x, y, 0.0),
-                    power=2 ** drawn["power"] * metres**2 / count,
+                    power=2 ** draw["power"] * metres**2 / count,
                     aim=(target[0] - x, target[1] - y, metres),
-                    cone=drawn["cone"],
+                    cone=draw["cone"],
                     color=(2 ** (-tint / 2), 1.0, 2 ** (tint / 2)),
                 )
             )
-        return Light(tuple(lamps), drawn["daylight"])
+        return Light(tuple(lamps), draw["daylight"])
 
 
 def _picked(share: float, choices: Sequence[T]) -> T:

@@ -15,14 +15,7 @@ from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
-from uwaug.transforms.draws import (
-    NOUNS,
-    Draw,
-    Record,
-    of_frame,
-    read_draws,
-    uniform_of,
-)
+from uwaug.transforms.draws import NOUNS, Draw, Record, of_frame, read_draws, uniform_of
 from uwaug.transforms.measured import Measured
 from uwaug.transforms.random_development import RandomDevelopment
 from uwaug.transforms.random_light import RandomLight
@@ -39,10 +32,10 @@ from uwaug.transforms.samples import (
 from uwaug.transforms.scenes import Scenes, scenes_of
 
 SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
-"""The contrast of each grade of severity."""
+"""Contrast at the scene's median distance, by grade of severity."""
 
-_LIGHT = RandomLight()
-"""The light of pictures where nothing is said of it; that of a `Medium` is its own."""
+_DEFAULT_LIGHT = RandomLight()
+"""The light if none is given. It is this very object, as a `Medium` then has light of its own."""
 
 
 @codec.plain
@@ -52,39 +45,40 @@ class RandomUnderwater(SampleTransform):
 
     The defaults give pictures as an underwater camera takes them: constants calibrated to light
     transport (see `PointSpread.calibrated`), waters as turbid as the scene bears, surfaces with
-    spectra, an exposure and a development. `severity` has five grades, `uwaug.load_preset` a
-    preset's figures.
+    spectra, an exposure and a development. `severity` gives five grades, `uwaug.load_preset` what a
+    preset says.
 
     Args:
-        water: what the water is drawn from, see `RandomWater`. What its first argument takes stands
-            for `RandomWater(it)`: Jerlov types, contents, a `Water`, a `Medium`.
-        distance: what maps hold, and what pixels without a distance get: `uwaug.distance.Metres`,
-            `Relative` or `Inverse`. Or where distances come from without maps: `MadeUp`, `Network`,
-            or `Plane`, for which a number or a range may stand, m.
-        light: what lights the scene, see `RandomLight`: by default lamps light a twelfth of the
-            pictures, but none where a water is a `Medium`, which has daylight of its own; a
-            `Light`, the same for all pictures, whose lamps stand where they are in metres; None
-            for daylight.
-        development: what the camera does, and the colour space, see `RandomDevelopment`.
+        water: a `RandomWater`, or its first argument alone: Jerlov types, contents, a `Water`, a
+            `Medium`.
+        distance: the content of maps, and what pixels without a distance get:
+            `uwaug.distance.Metres`, `Relative` or `Inverse`. Or the source of distances where there
+            are no maps: `MadeUp`, `Network`, or `Plane`, for which a number or a range may stand,
+            m.
+        light: a `RandomLight`: by default lamps light a twelfth of the pictures, but none where a
+            water is a `Medium`, which has daylight of its own; a `Light`, the same for all
+            pictures, whose lamps stand where they are in metres; None for daylight.
+        development: a `RandomDevelopment`: what the camera does, and the colour space.
         p: probability that a picture is degraded at all.
-        keys: of image and map in a dict.
+        keys: names of image and map in a dict.
 
     Inputs:
         (image, distance, …), a tuple or list of them, (image, target) with the map in a dict in
         second place, or a dict. One picture (3xHxW, distance 1xHxW) or a batch, whose pictures may
         share one map; uint8 (0…255) or floating point (0…1); plain tensors or torchvision's
         tv_tensors (a distance map is best a `Mask`). A `Video` is a film: one draw for all frames,
-        as by `for_clip`. The same structure comes back with a new image
-        of the same type; every other leaf is returned as it is, and no input is changed. Gradients
-        pass to image and distance; what is drawn is constant.
+        as by `for_clip`.
+
+        The same structure comes back with a new image of the same type; every other leaf is
+        returned as it is, and no input is changed. Gradients pass to image and distance; draws are
+        constant.
 
     Randomness comes from torch's global generator, which a DataLoader seeds for each worker and
     epoch; `at` draws from a key instead. Place the transform before normalisation, and after
     resizing and cropping: the default width law takes the picture for the whole view.
 
     Raises:
-        TypeError, ValueError: if an option or an input does not suit, naming what came and what was
-            expected.
+        TypeError, ValueError: if an option or an input does not suit; says what was expected.
 
     Warns:
         UserWarning: once in a process, if next to nothing is left to see in one of its first
@@ -108,7 +102,7 @@ class RandomUnderwater(SampleTransform):
 
     water: RandomWater = option(default_factory=RandomWater)
     distance: Source = option(default_factory=Metres)
-    light: RandomLight | Light | None = _LIGHT
+    light: RandomLight | Light | None = _DEFAULT_LIGHT
     development: RandomDevelopment = option(default_factory=RandomDevelopment)
     p: float = 1.0
     keys: tuple[str, str] = ("image", "distance")
@@ -118,7 +112,7 @@ class RandomUnderwater(SampleTransform):
         water: RandomWater | AnyWater | Iterable[AnyWater] | None = None,
         *,
         distance: Source | Range | None = None,
-        light: RandomLight | Light | None = _LIGHT,
+        light: RandomLight | Light | None = _DEFAULT_LIGHT,
         development: RandomDevelopment | None = None,
         p: float = 1.0,
         keys: tuple[str, str] = ("image", "distance"),
@@ -130,34 +124,38 @@ class RandomUnderwater(SampleTransform):
         cure = "Metres, Relative, Inverse, MadeUp, Network(…) or Plane of uwaug.distance"
         checks.instance("distance", self.distance, Source, f"; give {cure}")
         self.distance.require_ranges()
-        self.light = None if light is _LIGHT and self.water.has_media else light
+        self.light = None if light is _DEFAULT_LIGHT and self.water.has_media else light
         if not isinstance(self.light, Light | None):
             checks.instance("light", self.light, RandomLight, "; or a uwaug.Light")
         self.development = RandomDevelopment() if development is None else development
         checks.instance("development", self.development, RandomDevelopment)
         checks.within("p", p, 0.0, 1.0)
         self.p = p
-        if not (
-            isinstance(keys, (tuple, list)) and len(keys) == 2 and set(map(type, keys)) == {str}
-        ):
+        are_names = isinstance(keys, (tuple, list)) and set(map(type, keys)) == {str}
+        if not (are_names and len(keys) == 2):
             raise TypeError(f"keys must be the names of image and map, got {keys!r:.80}")
         self.keys = keys[0], keys[1]
         light_noun = self.light if isinstance(self.light, RandomLight) else Fixed(self.light)
-        each = (self.water, self.distance, light_noun, self.development)
-        self._nouns: dict[str, Any] = dict(zip(NOUNS, each, strict=True))
+        nouns = (self.water, self.distance, light_noun, self.development)
+        self._nouns: dict[str, Any] = dict(zip(NOUNS, nouns, strict=True))
         self.always_stored = {"light"} if self.water.has_media else set()
 
     @classmethod
     def severity(cls, level: int, water: Any = None, **options: Any) -> "RandomUnderwater":
-        """One of five grades, for robustness studies: the default at a fixed contrast. From one key
-        a picture has the same light, camera and kind of water at each grade; `light=None` keeps to
-        daylight. A water that is asked for by name stays itself, and the scene is scaled.
+        """One of five grades, for robustness studies: the default at a fixed contrast.
+
+        From one key a picture has the same light, camera and kind of water at each grade;
+        `light=None` keeps to daylight. A water that is asked for by name stays itself, and the
+        scene is scaled.
 
         Args:
             level: 1 (mild) … 5 (severe); .65, .5, .35, .2 and .08 of the contrast are left at the
                 scene's median distance.
             water: as for the class; its contrast is that of the grade.
             options: any other argument of the class.
+
+        Raises:
+            ValueError: if there is no such level, or the water is a `Medium`.
         """
         if level not in SEVERITIES:
             raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
@@ -171,40 +169,41 @@ class RandomUnderwater(SampleTransform):
         distance_range: tuple[float, float] | None = None,
         sides: tuple[int, int] | None = None,
     ) -> Underwater:
-        """The only draw of a transform of which nothing is random, as a module. Its distances and
-        its medium field are inputs of that, and may be.
+        """The only draw of a transform of which nothing is random, as a module.
+
+        Distances and medium field are inputs of the module, and may be random.
 
         Args:
-            distance_range: m, for which the blur is planned; None for what `distance` says, times
-                the field, and .1 to 20 m where maps say it.
+            distance_range: ends for which the blur is planned, m; None for those of `distance`,
+                .1 to 20 m if maps have them, times the field.
             sides: the smallest and the largest short side, px, see `uwaug.Underwater`.
 
         Raises:
             ValueError: if something is random, or follows from each picture; names it.
         """
-        random = [
-            f"{name}.{inner}"
+        names = [
+            f"{name}.{option}"
             for name in ("water", "light", "development")
-            for inner in self._nouns[name].random()
+            for option in self._nouns[name].random()
         ]
-        names = random + ["p"] * (self.p < 1) + self.water.of_each_picture()
+        names += ["p"] * (self.p < 1) + self.water.of_each_picture()
         if names:
             got = ", ".join(dict.fromkeys(names))
             raise ValueError(f"a module makes the same of all pictures, but {got} differ: fix them")
-        ends = self.distance.reach() or (0.1, 20.0)
-        thin, dense = self.water.field or (1.0, 1.0)
-        near, far = ends[0] * thin, ends[1] * dense
+        nearest, farthest = self.distance.reach() or (0.1, 20.0)
         lamps = isinstance(self.light, Light) and bool(self.light.lamps)
-        seen = Measured(1, 0.0, 1.0, *ends, ends[1], bool(self.development.metered), lamps)
+        metered = bool(self.development.metered)
+        measured = Measured(1, 0.0, 1.0, nearest, farthest, farthest, metered, lamps)
+        thin, dense = self.water.field or (1.0, 1.0)
+        low, high = nearest * thin, farthest * dense
         draw = Draw(**self._sample(uniform_of(0)))
-        light = self._nouns["light"].of(draw.light, seen)
         return Underwater(
-            self.water.of(draw.water, seen).medium,
-            distance_range or (near, max(far, 1.01 * near)),  # of a plane, too
+            self.water.of(draw.water, measured).medium,
+            distance_range or (low, max(high, 1.01 * low)),  # of a plane, too
             color_space=self.development.color_space,
             sides=sides,
-            development=self.development.of(draw.development, seen),
-            light=light,
+            development=self.development.of(draw.development, measured),
+            light=self._nouns["light"].of(draw.light, measured),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -212,7 +211,7 @@ class RandomUnderwater(SampleTransform):
         YAML and TOML hold them; "none" for None.
 
         Raises:
-            TypeError: if one cannot be written so, such as a function.
+            TypeError: if an option cannot be written so, such as a function.
         """
         plain: dict[str, Any] = codec.to_plain(self)
         return plain
@@ -238,7 +237,7 @@ class RandomUnderwater(SampleTransform):
 
         Returns:
             A plain record that can be pickled and written as JSON, {"samples": […]} with a dict for
-            each picture: "applied", whether it is degraded at all; and what each noun has drawn, by
+            each picture: "applied", whether it is degraded at all; and the draw of each noun, by
             the names of its options: "water", with the names of one or two "waters", or amounts of
             contents; "distance"; "light", empty by daylight; "development".
         """
@@ -247,9 +246,9 @@ class RandomUnderwater(SampleTransform):
         return {"samples": [self._sample(uniform_of(seed)) for seed in seeds]}
 
     def _sample(self, uniform: Uniform) -> Record:
-        """What a picture draws, of a record."""
-        nouns = {name: noun.drawn(uniform.of(name)) for name, noun in self._nouns.items()}
-        return {"applied": uniform("applied") < self.p, **nouns}
+        """The sample of one picture in a record."""
+        draws = {name: noun.drawn(uniform.of(name)) for name, noun in self._nouns.items()}
+        return {"applied": uniform("applied") < self.p, **draws}
 
     @uncompiled
     def transform(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
@@ -257,8 +256,8 @@ class RandomUnderwater(SampleTransform):
 
         Args:
             image (3xHxW or Bx3xHxW tensor): uint8 or floating point.
-            distance (1xHxW or Bx1xHxW tensor): of the kind that `distance` says; None where it
-                reads no maps.
+            distance (1xHxW or Bx1xHxW tensor): maps as the transform's `distance` reads them; None
+                if it reads none.
             params: from `make_params`, of this or an equally configured transform; that of a single
                 picture serves a whole batch.
 
@@ -266,16 +265,17 @@ class RandomUnderwater(SampleTransform):
             The degraded image, like `image`; `image` itself if the record leaves all of it alone.
 
         Raises:
-            TypeError, ValueError: if an input does not suit, naming what came and what was
-                expected.
+            TypeError, ValueError: if an input does not suit.
         """
         return self.scenes(image, distance, params).formed()
 
     @uncompiled
     def for_clip(self, params: Record, image: Tensor, distance: Tensor | None) -> Record:
-        """The record of one picture for all frames of a film: what a draw takes from the picture
-        (the median distance to which the water is scaled, exposure, white balance) is that of one
-        frame for all of them. They may then come in any order, on any worker.
+        """Make the record of one picture one for all frames of a film.
+
+        What a draw takes from a picture (the median distance to which the water is scaled,
+        exposure, white balance) is that of one frame for all of them. They may then come in any
+        order, on any worker.
 
         Args:
             params: from `make_params`, of one picture.
@@ -283,9 +283,9 @@ class RandomUnderwater(SampleTransform):
                 which the middle one is taken.
 
         Returns:
-            A record with a sample for each of these frames, which has what was "measured" once for
-            all. Its "moved", m, 0 here, says how far field and snow have drifted to the right at a
-            frame: set it to m/s times seconds. The sensor's noise is each frame's own.
+            A record with a sample for each of these frames, with what was "measured" once for all.
+            Its "moved", m, is 0: how far field and snow have drifted to the right at a frame. Set
+            it to m/s times seconds. The sensor's noise is each frame's own.
         """
         frames = pictures_of(image)
         if len(frames) > 1 and isinstance(self.distance, MadeUp):
@@ -302,8 +302,7 @@ class RandomUnderwater(SampleTransform):
 
     @uncompiled
     def contrast_left(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
-        """The share of contrast that is left at each pixel, see `uwaug.contrast_left`: what of an
-        object can still be seen.
+        """Share of contrast that is left at each pixel, see `uwaug.contrast_left`.
 
         Args:
             image, distance, params: as for `transform`.
@@ -314,11 +313,13 @@ class RandomUnderwater(SampleTransform):
         return self.scenes(image, distance, params).contrast_map()
 
     def take_apart(self, inputs: tuple[Any, ...]) -> Parts:
-        """Image, map and the way back, of what the transform was called with."""
+        """Find image, map and the way back in the inputs of a call."""
         return take_apart(inputs, self.keys, self.distance.reads_maps)
 
     def scenes(self, image: Tensor, distance: Tensor | None, params: Record) -> Scenes:
-        """Pictures in the water of their draws; arguments as for `transform`."""
+        """Pictures in the water of their draws, of which no image is formed yet. Arguments as for
+        `transform`.
+        """
         pictures = pictures_of(image)
         count = len(pictures)
         draws = read_draws(params, count, self._nouns)
@@ -336,5 +337,5 @@ class RandomUnderwater(SampleTransform):
         return restore(scenes_of(image, pictures, distance, draws, self._nouns).formed())
 
     def __repr__(self) -> str:
-        shown = [f"{f.name}={getattr(self, f.name)!r}" for f in codec.changed(self)]
-        return f"{type(self).__name__}({', '.join(shown)})"
+        options = [f"{f.name}={getattr(self, f.name)!r}" for f in codec.changed(self)]
+        return f"{type(self).__name__}({', '.join(options)})"

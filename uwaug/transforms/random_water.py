@@ -1,4 +1,4 @@
-"""What is random about water: which one, how much is in it, how deep it is and how uneven."""
+"""Random water: which one, how much is in it, how deep it is and how uneven."""
 
 import math
 import os
@@ -23,20 +23,21 @@ from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
 from uwaug.optics.reduction import default_bands
 from uwaug.optics.snow import MarineSnow
 from uwaug.optics.water import Water, load_water
+from uwaug.transforms.draws import Draw
 from uwaug.transforms.measured import Measured
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
 
 Knob = Literal["contents", "distance"]
-"""By what a contrast is reached."""
+"""Means by which a scene is brought to its contrast: contents of the water, or the distance."""
 
 CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.35), minerals=(0.25, 4.0))
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", *[CONTENTS] * 8)
-"""Half of the waters are Jerlov types, half are of other contents. The clear oceanic types would
-need 11 to 66 times what is in them to reach a contrast, and turn dark green. (Others that were
-tried: benchmarks/CHOICES.md, default draws.)
+"""Half of the default waters are Jerlov types, half are of other contents. The clear oceanic types
+would need 11 to 66 times what is in them to reach a contrast, and turn dark green. (Others that
+were tried: benchmarks/CHOICES.md, default draws.)
 """
 
 DIMMEST = 1 / 32
@@ -49,75 +50,73 @@ _CURVES = 0.002
 """Tolerance of the curves of a medium, in the light that a metered exposure makes of it."""
 
 MEDIANS = (1.0, 8.0)
-"""m: median distances between which water can be brought to a contrast by its contents and have a
-colour of its own. (What scenes at 35 m and at .1 m lose without: benchmarks/CHOICES.md, default
-draws.)
+"""m: ends of the median distances at which water can be brought to a contrast by its contents and
+have a colour of its own. (Losses of scenes at 35 m and at .1 m without: benchmarks/CHOICES.md,
+default draws.)
 """
 
-SCALED = (0.1, 100.0)
-"""m: median distances to which a scene is brought for the contrast of a water as it is. Nearer, the
-lens would touch it; no water lets one see farther.
+SCALED_MEDIANS = (0.1, 100.0)
+"""m: ends of the median distances to which a scene is scaled for the contrast of a water as it is.
+Nearer, the lens would touch it; no water lets one see farther.
 """
 
 MOST_SCALED, MOST_CONTENTS, MOST_MISSED = 4.0, 50.0, 2.0
-"""What is worth a word: a scene scaled by more; contents more times those of the water, where the
-clearest of `WATERS` need 42 for the severest grade at 1 m; a contrast so many times less than what
-was asked for.
+"""Factors from which on a warning is due: of the scene's scale; of the contents, where the clearest
+of `WATERS` need 42 for the severest grade at 1 m; of the contrast, less than what was asked for.
 """
 
 _calibrated = lru_cache(maxsize=16)(PointSpread.calibrated)
 
 odd_scene = Once()
-"""What it took to reach a contrast."""
+"""The warning that distances are hardly metres, or the water hardly the one that was named."""
 
 
 class Reached(NamedTuple):
-    """What it took to bring a scene to the contrast asked for."""
+    """The contrast to which a scene was brought, and what it took."""
 
     water: str
-    metres: float  # the median distance, scaled
-    scale: float  # times every distance
-    contents: float  # times what is in the water besides pure water
+    metres: float  # median distance, scaled
+    scale: float  # factor of all distances
+    contents: float  # factor of what is in the water besides pure water
     contrast: float  # left at the median distance
-    asked: float
+    asked: float  # the contrast that was asked for
     by: Knob
 
     @property
     def odd(self) -> str:
-        """A sentence where distances are hardly metres, or the water is hardly the one that was
-        named; "" where they are.
+        """A sentence if distances are hardly metres, or the water is hardly the one that was named;
+        "" if they are.
         """
         asked, unit = f"{self.asked:.2g} at {self.metres:.3g} m", "are distances metres?"
-        is_scaled = not 1 / MOST_SCALED <= self.scale <= MOST_SCALED
-        if self.by == "contents" and is_scaled:
+        by_contents = self.by == "contents"
+        if by_contents and not 1 / MOST_SCALED <= self.scale <= MOST_SCALED:
             median = self.metres / self.scale
             odd = f"a median of {median:.3g} m is scaled by {self.scale:.3g}: {unit}"
         elif self.contents > MOST_CONTENTS:
             times = f"that is {self.contents:.3g} times what is in it"
             odd = f"water {self.water} is too clear for {asked}: {times}. Name a more turbid one"
         elif not 1 / MOST_MISSED <= self.contrast / self.asked <= MOST_MISSED:
-            by_contents = self.by == "contents"
-            what = "pure water" if by_contents else f"water {self.water}"
+            water = "pure water" if by_contents else f"water {self.water}"
             why = unit if by_contents else "water.contrast_by=contents would change what is in it"
-            odd = f"{what} leaves {self.contrast:.2g} of contrast, not {asked}: {why}"
+            odd = f"{water} leaves {self.contrast:.2g} of contrast, not {asked}: {why}"
         else:
             return ""
         cure = "water.contrast=None (--contrast none) leaves distances and water as they are"
         return f"{odd}; {cure}"
 
 
-class InWater(NamedTuple):
-    """The water of a picture."""
+class PictureWater(NamedTuple):
+    """The water of one picture."""
 
     medium: Medium
-    scale: float  # times every distance
-    reached: Reached | None  # where a contrast was asked for
+    scale: float  # factor of all distances
+    reached: Reached | None  # None if no contrast was asked for
 
 
 @codec.plain
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomWater(Noun):
-    """From what the water of each picture is drawn, and what of it the camera sees.
+    """Draws the water of each picture, as its camera sees it.
 
     A range is a number or (low, high), drawn uniformly; contrast is drawn uniformly in its
     logarithm.
@@ -160,7 +159,7 @@ class RandomWater(Noun):
     `PLAIN` are the options of even water as it is in nature, at the surface, with grey surfaces.
 
     Raises:
-        TypeError, ValueError: if one does not suit, naming what came and what was expected.
+        TypeError, ValueError: if an option does not suit.
 
     Examples:
         >>> RandomWater(["1C", "7C"], contrast=(0.2, 0.5))
@@ -201,13 +200,16 @@ class RandomWater(Noun):
             checks.instance("snow", self.snow, MarineSnow)
         if self.contrast_by is not None:
             checks.one_of("contrast_by", self.contrast_by, get_args(Knob))
-        kinds = (str, os.PathLike, Water, Medium, type(None))
-        if not isinstance(self.waters, kinds):
-            vars(self)["waters"] = _several(self.waters)
-        loaded = _loaded(WATERS if self.waters is None else self.waters)
+        waters = self.waters
+        if isinstance(waters, (set, frozenset)):
+            raise TypeError("waters must have an order, as draws follow it; got a set")
+        if not isinstance(waters, (str, os.PathLike, Water, Medium, type(None))):
+            # a tuple stays as it is, whatever becomes of a list
+            vars(self)["waters"] = tuple(waters) if isinstance(waters, Iterable) else (waters,)
+        named = _named(WATERS if self.waters is None else self.waters)
         vars(self).update(
-            names=[name for name, _ in loaded],
-            by_name=dict(loaded),
+            names=[name for name, _ in named],
+            by_name=dict(named),
             mixes=as_range("mixing", self.mixing, *DOMAIN["mixing"])[1] > 0,
             response=load_camera(self.camera),
             field=None if self.field is None else as_range("field", self.field, 0.0),
@@ -218,39 +220,34 @@ class RandomWater(Noun):
 
     @cached_property
     def has_media(self) -> bool:
-        """Whether a water is a `Medium`, of which no more is known than its curves."""
+        """True if a water is a `Medium`, of which no more is known than its curves."""
         return any(isinstance(water, Medium) for water in self.by_name.values())
 
-    @property
-    def has_one_law(self) -> bool:
-        """Whether all media have one law of widths: those of fits may have laws of their own."""
-        return len(self.by_name) == 1 or not self.has_media
-
     def ranges(self) -> dict[str, Range | None]:
-        """See `Noun.ranges`; a `Medium` has its own."""
+        """See `Noun.ranges`; none if all waters are a `Medium`."""
         is_medium = [isinstance(water, Medium) for water in self.by_name.values()]
         return {} if all(is_medium) else super().ranges()
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
         """See `Noun.drawn`; "waters" are the names of one or two, or amounts of contents."""
         waters: list[str | dict[str, float]] = []
-        for which in ("waters", "second water")[: 2 if self.mixes else 1]:
-            name = self.names[int(uniform(which) * len(self.names))]
+        for order in ("waters", "second water")[: 2 if self.mixes else 1]:
+            name = self.names[int(uniform(order) * len(self.names))]
             water = self.by_name[name]
             waters.append(water.drawn(uniform) if isinstance(water, Constituents) else name)
-        drawn = {"waters": waters, **super().drawn(uniform)}
+        draw = {"waters": waters, **super().drawn(uniform)}
         if self.field is not None:
-            drawn["field_seed"] = int(uniform("field") * SEEDS)
-        return drawn
+            draw["field_seed"] = int(uniform("field") * SEEDS)
+        return draw
 
-    def require(self, drawn: Drawn, name: str) -> None:
+    def require(self, draw: Drawn, name: str) -> None:
         """See `Noun.require`."""
         further = {"waters"} if self.field is None else {"waters", "field_seed"}
-        require_names(drawn, {*self._ends, *self._nouns, *further}, name)
-        super().require({key: value for key, value in drawn.items() if key not in further}, name)
+        require_names(draw, {*self._ends, *self._nouns, *further}, name)
+        super().require({key: value for key, value in draw.items() if key not in further}, name)
         if self.field is not None:
-            require_seed(f"params: {name}.field_seed", drawn["field_seed"])
-        waters, count = drawn["waters"], 2 if self.mixes else 1
+            require_seed(f"params: {name}.field_seed", draw["field_seed"])
+        waters, count = draw["waters"], 2 if self.mixes else 1
         if not isinstance(waters, (list, tuple)) or len(waters) != count:
             raise ValueError(f"params: {name}.waters must be {count}, got {waters!r:.80}")
         for water in waters:
@@ -258,57 +255,59 @@ class RandomWater(Noun):
 
     def random(self) -> list[str]:
         """See `Noun.random`; the field is an input of `uwaug.Underwater`."""
-        contents = [w for w in self.by_name.values() if isinstance(w, Constituents)]
-        return ["waters"] * (len(self.by_name) > 1 or len(contents) > 0) + super().random()
+        ranges = [water for water in self.by_name.values() if isinstance(water, Constituents)]
+        return ["waters"] * (len(self.by_name) > 1 or len(ranges) > 0) + super().random()
 
     def of_each_picture(self) -> list[str]:
-        """The names of what follows from the size or the distances of a picture."""
+        """Names of the options that follow from the size or the distances of a picture."""
         if self.has_media:
             return []
         follows = {"contrast": self.contrast is not None, "point_spread": self.point_spread is None}
         return [f"water.{name}" for name, is_so in follows.items() if is_so]
 
-    def of(self, drawn: Drawn, seen: Measured) -> InWater:
-        """The water of a picture, and by what its distances are scaled."""
-        named = drawn["waters"][0]
-        fixed = self.by_name.get(named) if isinstance(named, str) else None
+    def of(self, draw: Drawn, measured: Measured) -> PictureWater:
+        """The water of a picture, and the factor of its distances."""
+        first = draw["waters"][0]
+        fixed = self.by_name.get(first) if isinstance(first, str) else None
         if isinstance(fixed, Medium):
-            return InWater(self._snowing(fixed, drawn, seen), 1.0, None)
-        water, *others = map(self._spectra, drawn["waters"])
-        if others:
-            water = water.mix(others[0], drawn["mixing"])
+            return PictureWater(self._with_snow(fixed, draw, measured), 1.0, None)
+        water, *second = map(self._spectra, draw["waters"])
+        if second:
+            water = water.mix(second[0], draw["mixing"])
         scale, reached = 1.0, None
-        if "contrast" in drawn:
-            reach = _by_distance if self._is_by_distance(drawn) else _by_contents
-            water, reached = reach(water, drawn["contrast"], seen)
+        if "contrast" in draw:
+            are_names = self.waters is not None and {*map(type, draw["waters"])} == {str}
+            knob = self.contrast_by or ("distance" if are_names else "contents")
+            reach = _by_distance if knob == "distance" else _by_contents
+            water, reached = reach(water, draw["contrast"], measured)
             scale = reached.scale
             if reached.odd:
                 odd_scene.warn(reached.odd)
-        depth, daylight = drawn["vertical_depth"], 1.0
-        if seen.metered and not seen.lamps:
+        depth, daylight = draw["vertical_depth"], 1.0
+        if measured.metered and not measured.lamps:
             daylight = water.daylight(depth)
             if daylight < DIMMEST:
                 depth, daylight = min(depth, water.depth_of_daylight(DIMMEST)), DIMMEST
-        law = self.point_spread or _calibrated(FOCAL_LENGTH * seen.width)
-        camera = "color_matrix" in drawn, drawn.get("color_matrix", 1.0)
-        tolerance = _CURVES * daylight  # what an exposure brings up, errors included
-        options = (depth, drawn["g"], self._towards(drawn), law, *camera, tolerance)
-        medium = self._medium_of(water, options)
-        return InWater(self._snowing(medium, drawn, seen.scaled(scale)), scale, reached)
+        law = self.point_spread or _calibrated(FOCAL_LENGTH * measured.width)
+        surfaces = "color_matrix" in draw, draw.get("color_matrix", 1.0)
+        tolerance = _CURVES * daylight  # errors, too, are brought up by an exposure
+        options = (depth, draw["g"], self._mu(draw), law, *surfaces, tolerance)
+        medium = self._medium(water, options)
+        return PictureWater(self._with_snow(medium, draw, measured.scaled(scale)), scale, reached)
 
-    def fields(self, drawn: Sequence[Drawn], seen: Sequence[Measured], like: Tensor) -> Tensor:
+    def fields(self, draws: Sequence[Draw], measured: Sequence[Measured], like: Tensor) -> Tensor:
         """The medium field (Bx1xHxW) of each picture, for distances of the shape of a tensor; 1 in
         even water.
         """
         if self.field is None:
             return like.new_ones(())
         # in px of the view that the width law takes the picture for
-        moved = [FOCAL_LENGTH * look.width * look.moved / look.median for look in seen]
-        seeds = [each["field_seed"] for each in drawn]
+        moved = [FOCAL_LENGTH * m.width * m.moved / m.median for m in measured]
+        seeds = [draw.water["field_seed"] for draw in draws]
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
 
-    def _medium_of(self, water: Water, options: tuple[Any, ...]) -> Medium:
-        """A medium; the one before if it is of the same water, as where nothing is random."""
+    def _medium(self, water: Water, options: tuple[Any, ...]) -> Medium:
+        """The medium of a water; the last one again if nothing differs, as if nothing is random."""
         before: tuple[Water, tuple[Any, ...], Medium] | None = vars(self).get("_before")
         if before and before[0] is water and before[1] == options:
             return before[2]
@@ -316,24 +315,19 @@ class RandomWater(Noun):
         vars(self)["_before"] = water, options, medium
         return medium
 
-    def _is_by_distance(self, drawn: Drawn) -> bool:
-        if self.contrast_by is not None:
-            return self.contrast_by == "distance"
-        return self.waters is not None and {*map(type, drawn["waters"])} == {str}
-
-    def _snowing(self, medium: Medium, drawn: Drawn, seen: Measured) -> Medium:
-        """A medium with the particles that are drawn; with those of its own if none are."""
+    def _with_snow(self, medium: Medium, draw: Drawn, measured: Measured) -> Medium:
+        """A medium with the particles of a draw; with those of its own if none are drawn."""
         if self.snow is None:
             return medium
-        snow = self.snow.of(drawn["snow"])
-        return medium.with_snow(replace(snow, drift=snow.drift + seen.moved))
+        snow = self.snow.of(draw["snow"])
+        return medium.with_snow(replace(snow, drift=snow.drift + measured.moved))
 
-    def _towards(self, drawn: Drawn) -> float:
+    def _mu(self, draw: Drawn) -> float:
         """μ; of a range no more than g, as no veil is brighter than a white plate."""
-        g: float = drawn["g"]
+        g: float = draw["g"]
         if self.mu is None:
             return min(1.5 * g, 1.0)
-        mu: float = drawn["mu"]
+        mu: float = draw["mu"]
         return min(mu, g) if isinstance(self.mu, (tuple, list)) else mu
 
     def _spectra(self, water: str | Mapping[str, float]) -> Water:
@@ -346,24 +340,24 @@ class RandomWater(Noun):
 
     def _require_water(self, water: Any) -> None:
         """Refuse a water that cannot have been drawn."""
+        waters = self.by_name.values()
         if isinstance(water, Mapping):
-            ranges = [each for each in self.by_name.values() if isinstance(each, Constituents)]
-            can_be = any(each.holds(water) for each in ranges)
+            is_possible = any(w.holds(water) for w in waters if isinstance(w, Constituents))
         else:
-            can_be = isinstance(water, str) and not isinstance(
-                self.by_name.get(water), (Constituents, type(None))
+            is_possible = isinstance(water, str) and isinstance(
+                self.by_name.get(water), (Water, Medium)
             )
-        if not can_be:
+        if not is_possible:
             has = ", ".join(self.by_name)
             raise ValueError(f"params asks for {water!r:.80}, but this transform has {has}")
 
 
-def _by_contents(water: Water, asked: float, seen: Measured) -> tuple[Water, Reached]:
-    """A water with so much in it that this contrast is left at the median distance."""
+def _by_contents(water: Water, asked: float, measured: Measured) -> tuple[Water, Reached]:
+    """Bring a water to the contents that leave a contrast at the median distance."""
     scale = 1.0
-    if not seen.lamps and math.isfinite(seen.median):
-        scale = min(max(seen.median, MEDIANS[0]), MEDIANS[1]) / seen.median
-    metres = seen.median * scale
+    if not measured.lamps and math.isfinite(measured.median):
+        scale = min(max(measured.median, MEDIANS[0]), MEDIANS[1]) / measured.median
+    metres = measured.median * scale
     contents = water.contents_for(asked, metres)
     if math.isinf(contents):
         cure = "draw from waters that have something in them, or give contrast=None"
@@ -373,42 +367,34 @@ def _by_contents(water: Water, asked: float, seen: Measured) -> tuple[Water, Rea
     return scaled, Reached(water.name, metres, scale, contents, contrast, asked, "contents")
 
 
-def _by_distance(water: Water, asked: float, seen: Measured) -> tuple[Water, Reached]:
-    """The same water, and the median distance at which this contrast is left."""
-    metres = seen.median
-    if not seen.lamps and math.isfinite(metres):
-        metres = min(max(water.metres_for(asked), SCALED[0]), SCALED[1])
+def _by_distance(water: Water, asked: float, measured: Measured) -> tuple[Water, Reached]:
+    """Leave a water as it is, and bring the median distance to where it leaves a contrast."""
+    metres = measured.median
+    if not measured.lamps and math.isfinite(metres):
+        metres = min(max(water.metres_for(asked), SCALED_MEDIANS[0]), SCALED_MEDIANS[1])
     contrast = water.contrast(metres) if math.isfinite(metres) else asked
-    scale = metres / seen.median if math.isfinite(metres) else 1.0
+    scale = metres / measured.median if math.isfinite(metres) else 1.0
     return water, Reached(water.name, metres, scale, 1.0, contrast, asked, "distance")
 
 
-def _several(waters: Any) -> tuple[Any, ...]:
-    """Waters as a tuple, which stays as it is whatever becomes of a list."""
-    if isinstance(waters, (set, frozenset)):
-        raise TypeError("waters must have an order, as draws follow it; got a set")
-    is_several = isinstance(waters, Iterable) and not isinstance(waters, Constituents)
-    return tuple(waters) if is_several else (waters,)
-
-
-def _loaded(waters: Any) -> list[tuple[str, Water | Constituents | Medium]]:
-    """Waters, or ranges that each picture draws one from, with their names."""
-    loaded: list[tuple[str, Water | Constituents | Medium]] = []
+def _named(waters: Any) -> list[tuple[str, Water | Constituents | Medium]]:
+    """Names and waters, or ranges from which each picture draws one."""
+    named: list[tuple[str, Water | Constituents | Medium]] = []
     for water in waters if isinstance(waters, tuple) else (waters,):
         if isinstance(water, Medium):
-            loaded += [(f"medium {len(loaded) + i}", water[i]) for i in range(len(water))]
+            named += [(f"medium {len(named) + i}", water[i]) for i in range(len(water))]
             continue
         if isinstance(water, str) and "=" in water and not water.lower().endswith(".csv"):
             water = Constituents.parse(water)
         if isinstance(water, Constituents) and not water.fixed:
-            loaded.append((water.name, water))
+            named.append((water.name, water))
             continue
         spectra = load_water(water.name if isinstance(water, Constituents) else water)
         # at the bands that media are made from: mixing needs no interpolation
-        loaded.append((spectra.name, spectra.at(default_bands(spectra))))
-    if not loaded:
+        named.append((spectra.name, spectra.at(default_bands(spectra))))
+    if not named:
         raise ValueError("waters: expected at least one, got none")
-    for name, water in loaded:
-        if any(other != water for same, other in loaded if same == name):
+    for name, water in named:
+        if any(other != water for same, other in named if same == name):
             raise ValueError(f"waters: two are called {name!r}; name=… gives a name of its own")
-    return loaded
+    return named

@@ -1,5 +1,5 @@
-"""Samples as loaders give them, an image and a map inside a tuple, a list or a dict; and what is
-common to all that transforms them.
+"""Samples as loaders give them, an image and a map inside a tuple, a list or a dict; and the base
+class of their transforms.
 """
 
 import copy
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 class Parts(NamedTuple):
-    """Image, map if there is one, and what puts a new image in the image's place."""
+    """An image, its map or None, and a function that puts a new image in the image's place."""
 
     image: Tensor
     distance: Any
@@ -32,8 +32,9 @@ class Parts(NamedTuple):
 
 
 def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool) -> Parts:
-    """Find image and map in (image, distance, …), or in one tuple, list or dict that holds them; in
-    second place of a tuple, a dict may hold the map. Without `reads_maps` there is to be none.
+    """Find image and map in (image, distance, …), or in one tuple, list or dict that holds them.
+
+    In second place of a tuple, a dict may hold the map. Without `reads_maps` none has to be there.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if isinstance(sample, Mapping):
@@ -54,9 +55,9 @@ def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool)
 
 
 def _is_map(value: Any, image: Any) -> bool:
-    """Whether what stands after an image can be but a map of distances."""
-    both = isinstance(value, Tensor) and isinstance(image, Tensor)
-    if not both or not value.is_floating_point() or value.ndim != image.ndim or value.ndim < 3:
+    """True if a value after an image can be nothing but a map of distances."""
+    are_tensors = isinstance(value, Tensor) and isinstance(image, Tensor)
+    if not are_tensors or not value.is_floating_point() or not 3 <= value.ndim == image.ndim:
         return False
     return bool(value.shape[-3] == 1 and value.shape[-2:] == image.shape[-2:])
 
@@ -79,8 +80,8 @@ def replaced(sample: Any, place: Any, value: Any) -> Any:
 
 
 def uncompiled(function: Callable[P, T]) -> Callable[P, T]:
-    """What `torch.compiler.disable` makes of a function, which `torch.compile` then leaves as it
-    is, at a break of the graph; without its import of torch._dynamo (.7 s) where nobody compiles.
+    """Keep `torch.compile` out of a function, as `torch.compiler.disable` does: it leaves it as it
+    is, at a break of the graph. Unlike that, import no torch._dynamo (.7 s) where nobody compiles.
     """
 
     @wraps(function)
@@ -95,8 +96,8 @@ def uncompiled(function: Callable[P, T]) -> Callable[P, T]:
 
 
 class SampleTransform(nn.Module):
-    """A random transform of samples; a subclass is a dataclass, and says in `_sampled` what it does
-    to a sample.
+    """A random transform of samples. A subclass is a dataclass, with a `_sampled` that transforms
+    one of them.
     """
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:  # noqa: D102  (no signature of its own)
@@ -106,7 +107,7 @@ class SampleTransform(nn.Module):
         return transform
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """An option is set once: all that was made of it would stay as it is."""
+        """Set an attribute. An option is set once: all that was made of it would stay as it is."""
         if name in vars(self) and name in (field.name for field in fields(self)):  # type: ignore[arg-type]
             made = f"dataclasses.replace(transform, {name}=…) makes another"
             raise AttributeError(f"{type(self).__name__}.{name} is read-only: {made}")
@@ -116,7 +117,8 @@ class SampleTransform(nn.Module):
         """The transform with randomness from a key: the same result in any worker, in any order.
 
         Args:
-            seed, epoch: of the run, of the pass through the data.
+            seed: of the run.
+            epoch: of the pass through the data.
             index: of the picture (or batch); a number, or a name such as a path. "7" is 7.
 
         Returns:
@@ -130,7 +132,7 @@ class SampleTransform(nn.Module):
 
     @uncompiled
     def forward(self, *inputs: Any) -> Any:
-        """Draw and degrade; see the class."""
+        """Draw, and degrade a sample; see the class."""
         return self._sampled(inputs, None)
 
     def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
@@ -138,14 +140,14 @@ class SampleTransform(nn.Module):
 
 
 def key_of(seed: int, epoch: int, index: int | str) -> int:
-    """A seed of 32 bits, all that a generator of torch takes, from a key; see `at`."""
-    which = index if isinstance(index, str) else whole_number(index)
-    text = f"{whole_number(seed)}/{whole_number(epoch)}/{which}"
+    """The seed of a key, see `at`: 32 bits, all that a generator of torch takes."""
+    name = index if isinstance(index, str) else whole_number(index)
+    text = f"{whole_number(seed)}/{whole_number(epoch)}/{name}"
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest())
 
 
 def is_film(image: Any) -> bool:
-    """Whether an image is torchvision's `Video`: the frames of one film (Tx3xHxW)."""
+    """True for torchvision's `Video`: the frames of one film (Tx3xHxW)."""
     tensors = sys.modules.get("torchvision.tv_tensors")
     return tensors is not None and isinstance(image, tensors.Video)
 
@@ -165,8 +167,8 @@ def pictures_of(image: Any) -> Tensor:
 
 
 def maps_for(pictures: Tensor, distance: Any, source: Source) -> Sequence[Tensor | None]:
-    """A map (1xhxw, of the aspect of the pictures) for each one of a batch, as plain tensors; None
-    where their source reads none.
+    """A map (1xhxw, of the aspect of the pictures) for each picture of a batch, as a plain tensor;
+    None if their source reads none.
     """
     if not source.reads_maps:
         if distance is not None:
@@ -184,16 +186,16 @@ def maps_for(pictures: Tensor, distance: Any, source: Source) -> Sequence[Tensor
     checks.picture("distance", distance, 1)
     require_aspect("distance", distance, pictures)
     checks.same_device("distance", distance, pictures)
-    plain, batch = typed(distance, Tensor), len(pictures)
+    plain, count = typed(distance, Tensor), len(pictures)
     maps = list(plain) if plain.ndim == 4 else [plain]
-    if len(maps) not in (1, batch):
-        raise ValueError(f"distance is a batch of {len(maps)} but image is one of {batch}")
-    return maps if len(maps) == batch else maps * batch
+    if len(maps) not in (1, count):
+        raise ValueError(f"distance is a batch of {len(maps)} but image is one of {count}")
+    return maps if len(maps) == count else maps * count
 
 
 @contextmanager
 def naming(index: int, count: int) -> Iterator[None]:
-    """Say in refusals which picture of a batch it is."""
+    """Name the picture of a batch in refusals."""
     try:
         yield
     except ValueError as error:

@@ -23,25 +23,27 @@ from uwaug.light import Light
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.transforms.draws import Draw
-from uwaug.transforms.measured import Measured, measured
+from uwaug.transforms.measured import Measured, measure
 from uwaug.transforms.random_water import RandomWater, Reached
 from uwaug.transforms.samples import maps_for, naming, typed
 
-_AS_THEY_COME = Metres()
-"""Maps of metres without holes."""
+_WHOLE_MAPS = Metres()
+"""The source whose maps are used as they come, if they measure like metres without holes."""
 
 _blank = Once(looks=16)
-"""Whether anything is left to see: what is wrong with all pictures shows in the first."""
+"""The warning that nothing is left to see. What is wrong with all pictures shows in the first."""
 
 
 class Setting(NamedTuple):
-    """In what a picture is taken.
+    """Water, light and camera of one picture.
 
     Attributes:
-        medium, light, development: of one row; None for daylight; of the camera.
-        scale: by which every distance is multiplied.
-        reached: what it took to reach a contrast, if one was asked for.
-        span: the nearest, the median and the farthest effective distance, m.
+        medium: of one row.
+        light: lamps; None for daylight.
+        development: what the camera does.
+        scale: factor of all distances.
+        reached: the contrast and what it took; None if no contrast was asked for.
+        span: nearest, median and farthest effective distance, m.
     """
 
     medium: Medium
@@ -56,13 +58,14 @@ class Scenes(NamedTuple):
     """Pictures in the water that they have drawn, before an image is formed of them.
 
     Attributes:
-        image (3xHxW or Bx3xHxW tensor): as it came.
-        pictures (Bx3xHxW tensor): all of it, plain.
-        color_space: of the pictures.
-        chosen: the indices of those that have a water; what follows is of these N alone.
-        z, metres (Nx1xHxW tensors): effective distances, and those without the field, m.
-        settings: in what each of them is taken.
-        alike: whether all have one law of widths, and are metered or none is.
+        image (3xHxW or Bx3xHxW tensor): the image as it came.
+        pictures (Bx3xHxW tensor): its pictures, as a plain tensor.
+        color_space: their colour space.
+        chosen: indices of the N pictures that are in water.
+        z (Nx1xHxW tensor): effective distances, m: times the medium field.
+        metres (Nx1xHxW tensor): distances without the field, m.
+        settings: water, light and camera of each of the N.
+        alike: True if all have one law of widths, and are metered or none is.
     """
 
     image: Tensor
@@ -101,23 +104,27 @@ class Scenes(NamedTuple):
         return typed(result[0] if self.image.ndim == 3 else result, type(self.image))
 
     def contrast_map(self, step: int = 1) -> Tensor:
-        """The share of contrast that is left, see `uwaug.contrast_left`, in every so many rows and
-        columns: 1xhxw of a picture, Bx1xhxw of a batch; 1 where there is no water.
+        """Share of contrast that is left, see `uwaug.contrast_left`: 1xhxw of a picture, Bx1xhxw of
+        a batch; 1 where there is no water.
+
+        Args:
+            step: rows and columns from one sample to the next.
         """
         shares = list(torch.ones_like(self.pictures[:, :1, ::step, ::step], dtype=torch.float32))
-        each = zip(self.chosen, self.z, self.metres, self.settings, strict=True)
-        for i, z, metres, setting in each:
-            far, near = z[..., ::step, ::step], metres[..., ::step, ::step]
-            shares[i] = contrast_left(far, setting.medium, light=setting.light, metres=near)
+        maps = [distances[..., ::step, ::step] for distances in (self.z, self.metres)]
+        for i, z, metres, setting in zip(self.chosen, *maps, self.settings, strict=True):
+            shares[i] = contrast_left(z, setting.medium, light=setting.light, metres=metres)
         return shares[0] if self.image.ndim == 3 else torch.stack(shares)
 
     def reached(self, picture: int) -> Reached | None:
-        """What it took to reach the contrast that a picture asked for, if it did."""
+        """The contrast of one of the pictures and what it took, if it asked for one."""
         settings = dict(zip(self.chosen, self.settings, strict=True))
         return settings[picture].reached if picture in settings else None
 
     def settled(self) -> dict[str, Any]:
-        """What this one picture settles for all frames of a film, see `Measured.of_film`."""
+        """Median distance, exposure and white balance of this one picture, for all frames of its
+        film, see `Measured.of_film`.
+        """
         (setting,) = self.settings
         medium, light = setting.medium.to(self.z), setting.light
         J = decoded(self.pictures, self.color_space).to(self.z.dtype)
@@ -134,13 +141,13 @@ class Scenes(NamedTuple):
 def scenes_of(
     image: Tensor, pictures: Tensor, distance: Any, draws: Sequence[Draw], nouns: Mapping[str, Any]
 ) -> Scenes:
-    """An image in the water of draws that are known to be good.
+    """Put an image into the water of its draws, which are not checked here.
 
     Args:
         image (3xHxW or Bx3xHxW tensor), distance: as for `RandomUnderwater.transform`.
         pictures (Bx3xHxW tensor): all of the image, from `pictures_of`.
-        draws: of each picture.
-        nouns: by the names of `Draw`.
+        draws: one for each picture.
+        nouns: the nouns of a transform, by the names of `Draw`.
     """
     fast.load()  # else the first picture of a process would be off by the last bits
     water: RandomWater = nouns["water"]
@@ -151,41 +158,50 @@ def scenes_of(
     if not chosen:
         return Scenes(image, pictures, space)
     with checks.full_precision(pictures):
-        z = _metres_of(source, pictures, maps, draws, space)
-        some = pictures if len(chosen) == len(pictures) else pictures[chosen]
-        rig = getattr(nouns["light"], "value", None)  # the same for all pictures, in metres
-        camera = {"metered": nouns["development"].metered, "lamps": bool(rig and rig.lamps)}
-        looks = measured(some, z, **camera)
-        if (again := _second_look(source, looks, pictures, z, chosen)) is not z:
-            z, looks = again, measured(some, again, **camera)
-        settings, seen, scales, drawn, is_film = [], [], [], [], False
-        for i, look in zip(chosen, looks, strict=True):
+        metres = _metres_of(source, pictures, maps, draws, space)
+        submerged = pictures if len(chosen) == len(pictures) else pictures[chosen]
+        light = getattr(nouns["light"], "value", None)  # the same for all pictures, in metres
+        camera = {"metered": nouns["development"].metered, "lamps": bool(light and light.lamps)}
+        measurements = measure(submerged, metres, **camera)
+        are_whole = all(m.nearest > 0 and m.farthest < FARTHEST_SEEN for m in measurements)
+        if not are_whole and source == _WHOLE_MAPS:
+            metres = _read_again(source, pictures, metres, chosen)
+            measurements = measure(submerged, metres, **camera)
+        settings, of_films = [], []
+        applied = [draws[i] for i in chosen]
+        for i, draw, measured in zip(chosen, applied, measurements, strict=True):
             with naming(i, len(pictures)):
-                if not (look.darkest >= 0 and look.brightest <= 1):
+                if not (measured.darkest >= 0 and measured.brightest <= 1):
                     require_values(pictures[i], space)
-                seen.append(look.of_film(draws[i].measured, draws[i].moved))
-                settings.append(_setting(draws[i], look, seen[-1], nouns))
-            scales.append(settings[-1].scale)
-            drawn.append(draws[i].water)
-            is_film = is_film or bool(draws[i].measured)
-        metres = z.double() if pictures.dtype == torch.float64 else z
+                of_films.append(measured.of_film(draw.measured, draw.moved))
+                settings.append(_setting(draw, measured, of_films[-1], nouns))
+        metres = metres.double() if pictures.dtype == torch.float64 else metres
+        scales = [setting.scale for setting in settings]
         if {*scales} != {1.0}:
             metres = metres * metres.new_tensor(scales)[:, None, None, None]
         metres = metres.clamp(max=FARTHEST)
-        z = metres * water.fields(drawn, seen, metres)
-    alike = water.has_one_law and not is_film
+        z = metres * water.fields(applied, of_films, metres)
+    has_one_law = len(water.by_name) == 1 or not water.has_media  # fits have laws of their own
+    films = [draw.measured for draw in applied]
+    alike = has_one_law and not any(films)
     return Scenes(image, pictures, space, chosen, z, metres, settings, alike)
 
 
-def _setting(draw: Draw, look: Measured, seen: Measured, nouns: Mapping[str, Any]) -> Setting:
-    """In what a picture is taken: `seen`, as its film has measured it, `look` as it is itself."""
+def _setting(
+    draw: Draw, measured: Measured, of_film: Measured, nouns: Mapping[str, Any]
+) -> Setting:
+    """Water, light and camera of a picture, from its draw and from what was measured of it: by
+    itself, and as its film has it.
+    """
     water: RandomWater = nouns["water"]
-    medium, scale, reached = water.of(draw.water, seen)
-    scaled = seen.scaled(scale)
-    thin, dense = water.field or (1.0, 1.0)
-    span = scale * thin * look.nearest, scale * look.median, scale * dense * look.farthest
+    medium, scale, reached = water.of(draw.water, of_film)
+    scaled = of_film.scaled(scale)
     light = nouns["light"].of(draw.light, scaled)
     development = nouns["development"].of(draw.development, scaled)
+    thin, dense = water.field or (1.0, 1.0)
+    nearest = scale * thin * measured.nearest
+    farthest = scale * dense * measured.farthest
+    span = nearest, scale * measured.median, farthest
     return Setting(medium, light, development, scale, reached, span)
 
 
@@ -196,42 +212,34 @@ def _metres_of(
     draws: Sequence[Draw],
     color_space: ColorSpace,
 ) -> Tensor:
-    """The distances (Nx1xHxW, m) of those pictures (Bx3xHxW) that are degraded. Those of `Metres()`
-    come as they are, for a second look; of another source a device may have to wait for each.
+    """Distances (Nx1xHxW, m) of those pictures (Bx3xHxW) that are degraded. Maps of `Metres()` come
+    as they are; for another source a device may have to wait for each picture.
     """
     results = []
-    for i, (z, picture, draw) in enumerate(zip(maps, pictures, draws, strict=True)):
+    for i, (metres, picture, draw) in enumerate(zip(maps, pictures, draws, strict=True)):
         if not draw.applied:
             continue
-        if z is not None and isinstance(source, Metres) and checks.on_host(picture):
-            first_maps.question(z, picture, stacklevel=5)
-        if z is None or source != _AS_THEY_COME:
-            shown = _as_srgb(picture, color_space) if source.reads_pictures else picture
+        if metres is not None and isinstance(source, Metres) and checks.on_host(picture):
+            first_maps.question(metres, picture, stacklevel=5)
+        if metres is None or source != _WHOLE_MAPS:
+            srgb = picture
+            if source.reads_pictures and color_space == "linear":
+                light = picture if picture.is_floating_point() else picture / 255
+                srgb = linear_to_srgb(light.clamp(0, 1))
             with naming(i, len(pictures)):
-                z = source.metres(z, shown, draw.distance)
-        if z.dtype.itemsize < 4:
-            z = z.float()
-        results.append(brought_to(picture.shape[-2:], z))
+                metres = source.metres(metres, srgb, draw.distance)
+        if metres.dtype.itemsize < 4:
+            metres = metres.float()
+        results.append(brought_to(picture.shape[-2:], metres))
     return results[0][None] if len(results) == 1 else torch.stack(results)
 
 
-def _as_srgb(picture: Tensor, color_space: ColorSpace) -> Tensor:
-    if color_space == "srgb":
-        return picture
-    light = picture if picture.is_floating_point() else picture / 255
-    return linear_to_srgb(light.clamp(0, 1))
-
-
-def _second_look(
-    source: Source, looks: Sequence[Measured], pictures: Tensor, z: Tensor, chosen: Sequence[int]
-) -> Tensor:
-    """The same distances, looked at once more where what was measured of `Metres()` is odd."""
-    if all(s.nearest > 0 and s.farthest < FARTHEST_SEEN for s in looks) or source != _AS_THEY_COME:
-        return z
+def _read_again(source: Source, pictures: Tensor, metres: Tensor, chosen: Sequence[int]) -> Tensor:
+    """Distances (Nx1xHxW, m) as their source reads them, of maps that may hold more than metres."""
     results = []
-    for i, far in zip(chosen, z, strict=True):
+    for i, row in zip(chosen, metres, strict=True):
         with naming(i, len(pictures)):
-            results.append(source.metres(far, pictures[i], {}))
+            results.append(source.metres(row, pictures[i], {}))
     return torch.stack(results)
 
 
