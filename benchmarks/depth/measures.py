@@ -132,13 +132,16 @@ def milliseconds(side: int, rounds: int = 30) -> float:
     return float(np.median(spent))
 
 
-WAYS: dict[str, tuple[Way, int]] = {
-    "vertical ramp": (ramp, 1),
-    "network alone": (lambda picture, seed: by_weights(cue.learnt())(picture, seed), 1),
-    "MadeUp()": (made_up(MadeUp()), 4),
-    'MadeUp(cue="ramp")': (made_up(MadeUp(cue="ramp")), 4),
-}
-"""And how many draws of each picture."""
+
+
+def ways() -> dict[str, tuple[Way, int]]:
+    """Ways to make up maps, and the number of draws of each picture, by name."""
+    return {
+        "vertical ramp": (ramp, 1),
+        "network alone": (by_weights(cue.learnt()), 1),
+        "MadeUp()": (made_up(MadeUp()), 4),
+        'MadeUp(cue="ramp")': (made_up(MadeUp(cue="ramp")), 4),
+    }
 
 
 def main(quick: bool, folders: tuple[Path, ...] = (), only: tuple[str, ...] = ()) -> None:
@@ -146,7 +149,7 @@ def main(quick: bool, folders: tuple[Path, ...] = (), only: tuple[str, ...] = ()
     torch.set_num_threads(1)
     some = [pair for folder in folders for pair in pairs.read(folder)]
     some = [pair for pair in some if not only or pair.source in only]
-    for name, (way, seeds) in WAYS.items() if some else ():
+    for name, (way, seeds) in ways().items() if some else ():
         print(name, judged(way, some[::20] if quick else some, seeds), flush=True)
     for side in (512, 1024):
         print(f"{milliseconds(side, 5 if quick else 30):.1f} ms at {side}²")
