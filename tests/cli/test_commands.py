@@ -423,55 +423,6 @@ def test_of_a_preset_that_draws_no_medium_is_shown(run, tmp_path):
     assert (code, out) == (0, '[water]\nwaters = ["II", "7C"]\n')
 
 
-def test_maps_that_are_no_metres_are_told_of_before_the_first_picture(folder, run):
-    for path in (folder / "depth").iterdir():
-        np.save(path.with_suffix(".npy"), np.linspace(0.01, 1, 24 * 32).reshape(24, 32))
-        path.unlink()
-    code, out, err = run("degrade", "photos", "--distance", "depth", "--out", "wet")
-    assert (code, err) == (0, "")
-    assert out.startswith("distances look relative, 0…1 or standardised: ")
-    cure = out.partition("--set ")[2].partition(")")[0]
-    assert "2 of 2 pictures written to wet" in out
-    # the cure that is said can be given as it is
-    flags = ("--distance", "depth", "--set", cure, "--out", "cured")
-    code, out, err = run("degrade", "photos", *flags)
-    assert (code, err) == (0, "")
-    assert out.startswith("2 of 2 pictures")
-
-
-@pytest.mark.parametrize(
-    ("kind", "flags", "said"),
-    [
-        ("mm", (), "--unit mm"),
-        ("mm", ("--unit", "mm"), "--holes behind"),
-        ("8 bits", (), "8 bits are too few"),
-    ],
-)
-def test_maps_that_are_all_refused_end_a_run_before_it_begins(folder, run, kind, flags, said):
-    if kind == "8 bits":
-        for path in (folder / "depth").iterdir():
-            Image.fromarray(np.full((24, 32), 9, np.uint8)).save(path)
-    code, out, err = run("degrade", "photos", "--distance", "depth", *flags, "--out", "wet")
-    assert (code, out) == (1, "")
-    assert err.startswith("Error: depth/a.png: ")
-    assert said in err
-    assert not (folder / "wet").exists()
-
-
-@pytest.mark.parametrize("kind", ["Relative", "Inverse"])
-def test_millimetres_that_are_taken_for_shares_are_told_of(folder, run, kind):
-    source = f'distance={{kind="{kind}", holes="fill"}}'
-    flags = ("--distance", "depth", "--set", source, "--out")
-    code, out, _ = run("degrade", "photos", *flags, "wet")
-    assert code == 0
-    assert "--unit mm" in out.splitlines()[0]
-    for path in (folder / "depth").iterdir():
-        shares = np.linspace(0, 65535, 24 * 32).reshape(24, 32)
-        Image.fromarray(shares.astype(np.uint16)).save(path)
-    code, out, _ = run("degrade", "photos", *flags, "again")
-    assert out.startswith("2 of 2 pictures")
-
-
 def test_a_film_without_maps_is_a_plane(folder, run):
     code, out, _ = run("degrade", "photos", "--sequence", "--out", "wet")
     assert code == 0
@@ -488,12 +439,12 @@ def test_a_film_without_maps_is_a_plane(folder, run):
 
 
 def test_other_formats_are_told_of(folder, run):
-    for name in ("c.webp", "d.WEBP", "e.bmp", "f.nef", "g.MP4"):
+    for name in ("c.webp", "d.WEBP", "e.HEIC", "f.nef", "g.MP4"):
         (folder / "photos" / name).touch()
     code, out, _ = run("degrade", "photos", "--out", "wet")
     assert code == 0
     told, *_ = (line for line in out.splitlines() if line.startswith("left out"))
-    assert told.startswith("left out, as such files are not read: 1 .bmp: convert")
+    assert told.startswith("left out, as such files are not read: 1 .heic: convert")
     for words in ("1 .mp4: make frames of it", "1 .nef: develop them first", "2 .webp: convert"):
         assert words in told
     code, _, err = run("degrade", "photos/g.MP4", "--out", "film")

@@ -12,7 +12,7 @@ import torch
 from exporting import COARSE, FAR, NEAR, in_water, scene, without_graph
 
 import uwaug
-from uwaug import Development, Light, Medium, PointSpread, RandomUnderwater, Underwater
+from uwaug import Development, Light, MarineSnow, Medium, PointSpread, RandomUnderwater, Underwater
 from uwaug.light import Lamp
 from uwaug.onnx import OnnxUnderwater, check_onnx, coefficients_of, export_onnx, read_metadata
 from uwaug.onnx.blurs import Blurs
@@ -170,6 +170,7 @@ def test_a_graph_that_returns_its_input_is_refused(tmp_path) -> None:
 
 TWO = Underwater(Medium.stack([MEDIUM] * 2), (1.0, 5.0))
 LIT = Underwater(MEDIUM, (1.0, 5.0), light=LIGHT)
+SNOWY = Underwater(MEDIUM.with_snow(MarineSnow(3000, seed=5)), (1.0, 5.0))
 
 
 @pytest.mark.parametrize(
@@ -180,6 +181,7 @@ LIT = Underwater(MEDIUM, (1.0, 5.0), light=LIGHT)
         (Underwater(MEDIUM, None), {}, r"no plan of the blur .*distance_range=.*sides="),
         (Underwater(Medium.from_water("II"), (1.0, 5.0)), {}, "no plan of the blur"),
         (TWO, {}, "module holds 2 media.*: give coefficients=True"),
+        (SNOWY, {}, "module has marine snow, which no file can draw"),
         (LIT, {"coefficients": True}, "cannot be inputs of a file with lamps"),
     ],
 )
