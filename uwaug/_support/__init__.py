@@ -1,1 +1,1 @@
-"""What every room may use, and what knows none of them: refusals, files written whole, caches."""
+"""Tools that every room may use and that know no room: refusals, files written whole, caches."""

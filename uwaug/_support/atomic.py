@@ -15,15 +15,13 @@ _writing: set[str] = set()
 
 
 def is_part(name: str) -> bool:
-    """Whether a file's name is that of a file being written, or left by a process that was killed
-    while it wrote.
-    """
+    """True for the name of a file that is being written, or that a killed process has left."""
     return _PART.fullmatch(name) is not None
 
 
 def remove_left(folder: Path) -> None:
-    """Remove from a folder the files that were being written by processes that were killed. A
-    living one, but for this, loses its file too: no two runs may write to one folder.
+    """Remove the unfinished files that killed processes have left in a folder. Other living
+    processes lose theirs, too: no two runs may write to one folder.
     """
     for path in folder.glob(".uwaug-*.part"):
         if is_part(path.name) and path.name not in _writing:
@@ -32,28 +30,26 @@ def remove_left(folder: Path) -> None:
 
 
 def require_regular(path: str | os.PathLike[str]) -> None:
-    """Refuse a path that cannot be read as a file, before it is opened: opening a pipe would wait
-    for somebody to write.
+    """Refuse a path that cannot be read as a file. To open a pipe would wait for a writer.
 
     Raises:
-        OSError: if there is nothing at `path`, or what is no regular file.
+        OSError: if there is nothing at `path`, or no regular file.
     """
     _refuse_irregular(Path(path), os.stat(path))
 
 
 @contextmanager
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A file beside `path` to write to, which takes its place if nothing went wrong.
+    """Open a context with a new file beside `path`, which takes the place of `path` at the end.
 
-    A symbolic link stays, and what it points to is replaced. A file that exists keeps its mode, a
-    new one has that of any new file. The part written so far is removed after any exception, also
-    one that a signal raises; only a process killed at once leaves it, under a name that `is_part`
-    knows.
+    A symbolic link stays, and its target is replaced. A file that exists keeps its mode. After any
+    exception, also one that a signal raises, the new file is removed. Only a process killed at once
+    leaves it, under a name that `is_part` knows.
 
     Raises:
-        OSError: if `path` is something else than a regular file, such as a folder, a pipe or a
-            device; if its folder is missing or cannot be written to; or, with `path` as the file's
-            name, if it cannot be written.
+        OSError: if `path` is no regular file but a folder, a pipe or a device; if its folder is
+            missing or cannot be written to; or, with `path` as the file's name, if it cannot be
+            written.
     """
     # the target of a link that points nowhere is made
     target = Path(os.path.realpath(path))
@@ -89,15 +85,12 @@ def _refuse_irregular(path: Path, status: os.stat_result) -> None:
 
 
 def _new_part(folder: Path, *, private: bool) -> Path:
-    """A new, empty file. O_EXCL: whatever has that name, a link above all, is not opened.
-
-    `private` until it takes the place of a file that may be; otherwise the process's own umask
-    applies to it, as to any new file.
-    """
+    """Make an empty file. `private`: for this user alone, else by the process's umask."""
     if not folder.is_dir():
         raise FileNotFoundError(f"path: there is no folder {folder}")
     part = folder / f".uwaug-{secrets.token_hex(8)}.part"
     try:
+        # O_EXCL opens nothing that exists, above all no link
         os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600 if private else 0o666))
     except OSError as error:
         reason = f"cannot write to the folder {folder}: {error.strerror}"

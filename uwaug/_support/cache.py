@@ -1,4 +1,4 @@
-"""A cache that is bounded by memory, as what it holds differs in size a thousandfold."""
+"""A cache bounded by memory: its values differ in size a thousandfold."""
 
 from collections import OrderedDict
 from collections.abc import Hashable
@@ -9,7 +9,7 @@ Value = TypeVar("Value")
 
 
 class Cache(Generic[Value]):
-    """Values by key, as many of those used last as fit into a budget of bytes. Safe with threads.
+    """Values by key: those used last, as many as fit into a budget. Safe with threads.
 
     Args:
         budget: bytes. The value put last is kept even if it alone is larger.
@@ -22,7 +22,7 @@ class Cache(Generic[Value]):
         self._lock = Lock()
 
     def get(self, key: Hashable) -> Value | None:
-        """The value, or None."""
+        """Return the value of a key, or None."""
         with self._lock:
             if key not in self._values:
                 return None

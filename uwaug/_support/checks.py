@@ -1,6 +1,4 @@
-"""Refusals that several modules share, worded once: which argument, what was expected, what came.
-And the domain of each quantity.
-"""
+"""Refusals that several rooms share, and the domains of quantities."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -23,19 +21,18 @@ DOMAIN = {
     "exponent": (1e-3, math.inf),
     "distance": (0.0, math.inf),
 }
-"""Least and largest value of quantities that several rooms read. Infinity itself is never allowed.
-"""
+"""Least and largest value of quantities that several rooms read. Infinity is never allowed."""
 
-_FARTHEST_MEDIAN = 1000.0
-"""m: what a map of metres has at most for its median. No water lets one see farther than 100 m."""
+_FARTHEST_MEDIAN_M = 1000.0
+"""Largest median of a map in metres. No water lets one see farther than 100 m."""
 
 OPEN = 1e7
-"""m: beyond, a number stands for open water (some write 1e9 for infinity); no millimetres are so
-many.
+"""Distance (m) from which on a number is open water. Some write 1e9 for infinity; no map in
+millimetres holds so many.
 """
 
 _LINES_SAMPLED = 16
-"""Rows and columns of a map, about, at which it is looked for millimetres."""
+"""Approximate number of rows and columns that `too_far` looks at first."""
 
 _REQUIRES_GRAD = attrgetter("requires_grad")
 
@@ -46,19 +43,19 @@ _CONVERT = (
 
 
 def one_of(name: str, value: object, allowed: Iterable[str]) -> None:
-    """Refuse what is no member of `allowed`."""
+    """Refuse a value that is not among `allowed`."""
     choices = tuple(allowed)
     if value not in choices:
         raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
 
 
 def bounds(low: float, high: float) -> str:
-    """A domain in words."""
+    """Describe a domain in words."""
     return f"in [{low:g}, {high:g}]" if high < math.inf else f"finite and ≥ {low:g}"
 
 
 def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> None:
-    """Refuse a number outside [low, high], an infinite one, and what is no number."""
+    """Refuse a number outside [low, high], an infinite one, and anything that is no number."""
     if hasattr(value, "requires_grad"):  # it would get no gradient
         cure = "to learn what water does, use Underwater(…, learnable=True)"
         raise TypeError(f"{name} must be a number, got a tensor; {cure}")
@@ -70,7 +67,7 @@ def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf
 
 
 def pair(name: str, value: Any, wanted: str) -> tuple[float, float]:
-    """The two numbers of a range; refuse what is no pair of numbers."""
+    """Return the two numbers of a range; refuse anything that is no pair of numbers."""
     try:
         low, high = map(float, value)
     except (TypeError, ValueError):
@@ -92,14 +89,14 @@ def tolerance(value: float) -> None:
 
 
 def instance(name: str, value: object, kind: type, hint: str = "") -> None:
-    """Refuse what is no object of one of the package's classes."""
+    """Refuse anything that is no object of a class of the package."""
     if not isinstance(value, kind):
         got = type(value).__name__
         raise TypeError(f"{name} must be a uwaug.{kind.__name__}, got {got}{hint}")
 
 
 def floating(name: str, value: object, hint: str = "") -> None:
-    """Refuse what is no floating-point tensor; `hint` says what to do about it."""
+    """Refuse anything but a floating-point tensor; `hint` names the cure."""
     import torch
     from torch import Tensor
 
@@ -112,9 +109,7 @@ def floating(name: str, value: object, hint: str = "") -> None:
 
 
 def finite(name: str, value: "Tensor") -> tuple[float, float]:
-    """Refuse NaN and infinite values, one of which would spread with the blur over rows and
-    columns; return the least and the largest.
-    """
+    """Return the least and the largest value; refuse NaN and infinity, which a blur spreads."""
     low, high = extent(value)
     if not (math.isfinite(low) and math.isfinite(high)):
         counts = counted(value, "NaN", "infinite", of="values")
@@ -123,7 +118,7 @@ def finite(name: str, value: "Tensor") -> tuple[float, float]:
 
 
 def metres(name: str, value: "Tensor") -> None:
-    """Refuse a map whose median lies beyond 1000 m: it holds millimetres."""
+    """Refuse a map whose median lies beyond 1000 m, as it holds millimetres."""
     median = too_far(value)
     if median is not None:
         got = f"a map whose median is {median:.4g}"
@@ -131,32 +126,32 @@ def metres(name: str, value: "Tensor") -> None:
 
 
 def too_far(value: "Tensor") -> float | None:
-    """The median of a map, m, if it lies farther than anybody sees, beyond 1000 m.
+    """Return the median (m) of a map if it lies beyond 1000 m, else None.
 
     Unknown pixels and open water do not count, nor does the largest distance, which may stand for
-    it. All pixels are looked at only if one of a few hundred holds such a distance.
+    open water. All pixels are read only if one of a few hundred holds such a distance.
     """
     rows, columns = (max(1, side // _LINES_SAMPLED) for side in value.shape[-2:])
     sample = value.detach()[..., ::rows, ::columns]
-    if not bool(((sample > _FARTHEST_MEDIAN) & (sample < OPEN)).any()):
+    if not bool(((sample > _FARTHEST_MEDIAN_M) & (sample < OPEN)).any()):
         return None
     distances = value.detach()[(value > 0) & (value < OPEN)]
     nearer = distances[distances < distances.max()]
     median = float((nearer if nearer.numel() else distances).median())
-    return median if median > _FARTHEST_MEDIAN else None
+    return median if median > _FARTHEST_MEDIAN_M else None
 
 
 def distances(name: str, value: "Tensor") -> tuple[float, float]:
-    """Refuse NaN and negative distances, and millimetres; return the least and the largest."""
+    """Return the least and the largest distance; refuse NaN, negative ones and millimetres."""
     if not value.numel():
         return 0.0, 0.0
-    # the ends of a map are NaN if any value is; what is wrong is counted only if something is
+    # the ends are NaN if any value is
     low, high = extent(value)
     if not low >= 0:
         cure = "fill unknown pixels first, see uwaug.distance.fill_unknown"
         counts = counted(value, "NaN", "negative")
         raise ValueError(f"{name} is {counts}: expected metres ≥ 0 (+inf for open water); {cure}")
-    if high > _FARTHEST_MEDIAN:
+    if high > _FARTHEST_MEDIAN_M:
         metres(name, value)
     return low, high
 
@@ -178,8 +173,8 @@ def same_size(name: str, value: "Tensor", image: "Tensor") -> None:
 def same_device(name: str, value: "Tensor", image: "Tensor") -> None:
     """Refuse a tensor on another device than the image."""
     if value.device != image.device:
-        where = f"on {value.device} but image is on {image.device}"
-        raise ValueError(f"{name} is {where}: move it with .to(…)")
+        devices = f"on {value.device} but image is on {image.device}"
+        raise ValueError(f"{name} is {devices}: move it with .to(…)")
 
 
 def batches(sizes: Mapping[str, int]) -> None:
@@ -189,43 +184,43 @@ def batches(sizes: Mapping[str, int]) -> None:
 
 
 def counted(x: "Tensor", *kinds: str, of: str = "pixels") -> str:
-    """How many values of a tensor are "NaN", "negative", "zero" or "infinite", in words."""
+    """Count the values that are "NaN", "negative", "zero" or "infinite", in words."""
     masks = {"NaN": x.isnan(), "negative": x < 0, "zero": x == 0, "infinite": x.isinf()}
     *first, last = (f"{kind} at {int(masks[kind].sum())}" for kind in kinds)
     return f"{', '.join(first)} and {last} of {x.numel()} {of}"
 
 
 def full_precision(x: "Tensor") -> AbstractContextManager[object]:
-    """A context in which autocast does not lower the precision of what follows from a tensor."""
+    """Open a context in which autocast does not lower the precision."""
     import torch
 
     kind = x.device.type
-    # to enter autocast's own takes 10 µs, also where there is nothing to switch off
+    # to enter autocast takes 10 µs, also where there is nothing to switch off
     if not torch.compiler.is_compiling() and not torch.is_autocast_enabled(kind):
         return nullcontext()
     return torch.autocast(kind, enabled=False)
 
 
 def records(*values: "Tensor") -> bool:
-    """Whether a tensor records gradients."""
+    """True if one of the tensors records gradients."""
     return any(map(_REQUIRES_GRAD, values))
 
 
 def on_host(x: "Tensor") -> bool:
-    """Whether values can be looked at: a compiler does not have them, and a device would wait."""
+    """True if values can be read at no cost. A compiler has none, and a device would wait."""
     import torch
 
     return x.is_cpu and not torch.compiler.is_compiling()
 
 
 def extent(x: "Tensor") -> tuple[float, float]:
-    """The least and the largest value of a tensor; NaN if it holds any."""
+    """Return the least and the largest value of a tensor; NaN if it holds any."""
     low, high = x.detach().aminmax()
     return float(low), float(high)
 
 
 def span(x: "Tensor") -> str:
-    """The values of a tensor, in words."""
+    """Describe the range of a tensor's values in words."""
     numbers = x[~x.isnan()]
     if not numbers.numel():
         return "NaN only"

@@ -1,5 +1,5 @@
-"""Dataclasses as plain dictionaries, as JSON, YAML and TOML hold them; the one codec of presets,
-records, fits, ONNX files, runs and options.
+"""Dataclasses as dictionaries for JSON, YAML and TOML: the codec of presets, records, fits, ONNX
+files, runs and options.
 
 "none" stands for None where a field may be None, as TOML has no word for it.
 """
@@ -20,7 +20,7 @@ _KINDS: dict[str, type] = {}
 
 
 def plain(kind: type[T]) -> type[T]:
-    """Let a dataclass be written as a dictionary: {"kind": its name, attributes…}.
+    """Let the codec write a dataclass as a dictionary: {"kind": its name, attributes…}.
 
     Raises:
         TypeError: if another class has the name.
@@ -28,18 +28,18 @@ def plain(kind: type[T]) -> type[T]:
     taken = _KINDS.get(kind.__name__, kind)
     # a module that is loaded anew replaces its own
     if (taken.__module__, taken.__qualname__) != (kind.__module__, kind.__qualname__):
-        where = f"{taken.__module__}.{taken.__qualname__}"
-        raise TypeError(f"kind {kind.__name__!r} is taken by {where}: give the class another name")
+        owner = f"{taken.__module__}.{taken.__qualname__}"
+        raise TypeError(f"kind {kind.__name__!r} is taken by {owner}: give the class another name")
     _KINDS[kind.__name__] = kind
     return kind
 
 
 def to_plain(value: Any) -> Any:
-    """Numbers, strings, lists and dictionaries for a value; of a dataclass, its kind and what
-    differs from its defaults.
+    """Turn a value into numbers, strings, lists and dictionaries; a dataclass into its kind and the
+    fields that differ from their defaults.
 
     Raises:
-        TypeError: if it is, or holds, anything else, such as a function.
+        TypeError: if the value is, or holds, anything else, such as a function.
     """
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
@@ -63,12 +63,12 @@ def to_plain(value: Any) -> Any:
 
 
 def from_plain(data: Any, *expected: type) -> Any:
-    """The inverse of `to_plain`; lists become tuples.
+    """Read what `to_plain` has written; lists become tuples.
 
     Args:
         data: from `to_plain`, or as a person writes it in TOML.
-        expected: classes of which the result is one. Where its name is left out, it is the first
-            that has all of the attributes.
+        expected: allowed classes of the result. Without "kind" it is the first that has all of the
+            attributes.
 
     Raises:
         TypeError, ValueError: if the class is unknown, or refuses what it is given.
@@ -84,12 +84,12 @@ def from_plain(data: Any, *expected: type) -> Any:
     for key, item in data.items():
         if key == "kind":
             continue
-        of_field = members.get(key, ())
+        classes = members.get(key, ())
         if not hasattr(kind, "of_plain") and key not in members:
             has = f"{kind.__name__} has no {key!r}, only {', '.join(members)}"
             raise TypeError(f"{has}{_meant(key, members)}")
-        is_none = isinstance(item, str) and item == "none" and NoneType in of_field
-        values[key] = None if is_none else from_plain(item, *filter(_is_plain, of_field))
+        is_none = isinstance(item, str) and item == "none" and NoneType in classes
+        values[key] = None if is_none else from_plain(item, *filter(_is_plain, classes))
     try:
         return getattr(kind, "of_plain", kind)(**values)  # of_plain: makes tensors of numbers
     except TypeError as error:  # an argument that is missing
@@ -97,7 +97,7 @@ def from_plain(data: Any, *expected: type) -> Any:
 
 
 def _kind_of(data: Mapping[str, Any], expected: tuple[type, ...]) -> type | None:
-    """The class that a dictionary stands for; None for a dictionary as such."""
+    """Return the class that a dictionary stands for; None for a dictionary as such."""
     if "kind" not in data:
         has_all = (kind for kind in expected if data.keys() <= _members(kind).keys())
         return next(has_all, expected[0] if expected else None)
@@ -113,13 +113,13 @@ def _kind_of(data: Mapping[str, Any], expected: tuple[type, ...]) -> type | None
 
 @cache
 def _members(kind: type) -> dict[str, tuple[type, ...]]:
-    """The classes that each field of a dataclass may have, by name."""
+    """List the classes that each field of a dataclass may have, by name."""
     hints = get_type_hints(kind)
     return {field.name: _flat(hints[field.name]) for field in fields(kind) if field.init}
 
 
 def _flat(hint: Any) -> tuple[Any, ...]:
-    """The classes in a type hint; not those in a mapping, which is written as such."""
+    """List the classes in a type hint, but for those in a mapping, which is written as such."""
     origin, inner = get_origin(hint), get_args(hint)
     if not inner or (isinstance(origin, type) and issubclass(origin, Mapping)):
         return (hint,)
@@ -131,12 +131,12 @@ def _is_plain(kind: Any) -> bool:
 
 
 def _meant(word: str, words: Iterable[str]) -> str:
-    """A question after the one of some words that another was meant for."""
-    return "".join(f": did you mean {near}?" for near in get_close_matches(word, words, 1))
+    """Ask whether the most similar of some words was meant; empty where none is."""
+    return "".join(f": did you mean {match}?" for match in get_close_matches(word, words, 1))
 
 
 def changed(value: Any) -> list[Field[Any]]:
-    """The fields of a dataclass that are not as by default, or that it names in `always_stored`."""
+    """List the fields that differ from their defaults, or that `always_stored` names."""
 
     def default(field: Any) -> Any:
         return field.default if field.default_factory is MISSING else field.default_factory()
@@ -144,7 +144,7 @@ def changed(value: Any) -> list[Field[Any]]:
     def same(a: Any, b: Any) -> bool:
         if type(a) is not type(b) or hasattr(a, "shape"):
             return False
-        # of some classes, such as those of arrays, equality is identity
+        # some classes, such as those that hold arrays, compare by identity
         return a == b or (_is_plain(type(a)) and not changed(a) and not changed(b))
 
     stored = (f for f in fields(value) if f.init and f.metadata.get("stored", True))

@@ -1,6 +1,4 @@
-"""Functions on small arrays, compiled where the extra `fast` is there: written once, in what of
-NumPy numba knows.
-"""
+"""Functions on small arrays, written once for NumPy and for numba of the extra `fast`."""
 
 import os
 from collections.abc import Callable
@@ -14,27 +12,27 @@ F = TypeVar("F", bound=Callable[..., Any])
 OPTIONS = {"fastmath": {"contract", "nsz"}, "nogil": True, "error_model": "numpy"}
 
 _loops = [False]
-"""Whether the compiled loops are loaded."""
+"""One flag: true once the compiled loops are loaded."""
 
 
 def loops_are_loaded() -> None:
-    """From now on `compiled` functions are. Before, who makes one medium waits for no compiler."""
+    """Let numba compile all `compiled` functions. Until then nobody waits for a compiler."""
     _loops[0] = True
 
 
 def are_loaded() -> bool:
-    """Whether the compiled loops are loaded."""
+    """True once the compiled loops are loaded."""
     return _loops[0]
 
 
 def wanted() -> bool:
-    """Whether the environment allows for compiled functions."""
-    switches = os.environ.get("UWAUG_FAST"), os.environ.get("NUMBA_DISABLE_JIT", "0")
-    return switches[0] != "0" and switches[1] in ("", "0")
+    """True if the environment allows compiled functions."""
+    disabled = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+    return os.environ.get("UWAUG_FAST") != "0" and not disabled
 
 
 def kept(function: F, **options: Any) -> F:
-    """`function` as numba compiles it, kept on disk where there is room."""
+    """Compile a function with numba, and keep it on disk where a folder can be written to."""
     import numba
 
     try:
@@ -61,8 +59,8 @@ class _Compiled:
 
 
 def compiled(function: F) -> F:
-    """A function that numba compiles once the loops are loaded; those that it calls and that are
-    compiled, too, must stand in the same file, as numba looks at no other for what has changed.
+    """Let numba compile a function once the loops are loaded. Compiled functions that it calls must
+    stand in the same file, as numba looks for changes nowhere else.
     """
     either: F = wraps(function)(_Compiled(function))  # type: ignore[assignment]
     return either

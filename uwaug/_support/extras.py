@@ -5,15 +5,15 @@ from typing import Any
 
 
 def install(extra: str) -> str:
-    """How to install an extra, in words."""
+    """Tell how to install an extra."""
     return f'pip install ".[{extra}]" in a checkout of uwaug'
 
 
 def require(extra: str, *packages: str) -> list[Any]:
-    """Import optional packages, or say how to install them.
+    """Import optional packages, or tell how to install them.
 
     Raises:
-        ImportError: if one is missing; names it and the extra.
+        ImportError: if a package is missing; names it and the extra.
     """
     try:
         return [importlib.import_module(name) for name in packages]

@@ -1,4 +1,4 @@
-"""Warnings that a process gives once: a loader makes thousands of pictures."""
+"""Warnings that a process gives once, as a loader makes thousands of pictures."""
 
 import math
 import warnings
@@ -8,10 +8,10 @@ from typing import ClassVar
 
 
 class Once:
-    """A warning that a process gives once, of what shows in one of its first pictures.
+    """Warning that a process gives once, about one of its first pictures.
 
     Args:
-        looks: how many pictures are looked at for it.
+        looks: number of pictures that are examined.
     """
 
     every: ClassVar[list["Once"]] = []
@@ -23,18 +23,18 @@ class Once:
         Once.every.append(self)
 
     def renew(self) -> None:
-        """As in a process that has seen and said nothing yet."""
+        """Return to the state of a new process."""
         self.looks_left, self.said = self.looks, False
 
     def due(self) -> bool:
-        """Whether to look at one more picture, which counts."""
+        """True if one more picture is to be examined; it is counted."""
         if Once.muted or self.said or self.looks_left < 1:
             return False
         self.looks_left -= 1
         return True
 
     def warn(self, message: str, stacklevel: int = 2) -> None:
-        """Warn as `warnings.warn` does, unless that was done."""
+        """Warn as `warnings.warn` does, unless this process has warned already."""
         if not (Once.muted or self.said):
             self.said = True
             warnings.warn(message, UserWarning, stacklevel + 1)
@@ -42,7 +42,7 @@ class Once:
 
 @contextmanager
 def muted() -> Iterator[None]:
-    """Pictures made within are trials: none counts as looked at, and nothing is said of them."""
+    """Open a context for trials: their pictures are not counted, and nothing is warned of."""
     before, Once.muted = Once.muted, True
     try:
         yield

@@ -1,6 +1,4 @@
-"""An ONNX Runtime session that opens at first use and is not pickled, so that each DataLoader
-worker makes its own.
-"""
+"""A session of ONNX Runtime for the processes of a DataLoader."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -14,18 +12,18 @@ from uwaug._support.atomic import require_regular
 from uwaug._support.extras import require
 
 _inherited: list[Any] = []
-"""Sessions of the parent process, which has their threads: to end one here would wait for them."""
+"""Sessions of the parent process, kept: to end one here would wait for threads that are there."""
 
 
 class Session:
-    """A file that ONNX Runtime runs.
+    """File that ONNX Runtime runs. It opens at first use and is not pickled, so that each worker
+    opens its own.
 
     Args:
-        path: of the file.
-        threads: of ONNX Runtime; 0 lets it choose, None takes as many as torch has where the
-            session opens.
-        optimise: let it rewrite the graph.
-        providers: its execution providers.
+        path: the ONNX file.
+        threads: 0 lets ONNX Runtime choose; None takes as many as torch has at first use.
+        optimise: let ONNX Runtime rewrite the graph.
+        providers: execution providers.
     """
 
     def __init__(
@@ -48,12 +46,12 @@ class Session:
 
     @property
     def opened(self) -> Any:
-        """The session, an `onnxruntime.InferenceSession`.
+        """Return the `onnxruntime.InferenceSession`.
 
         Raises:
             ImportError: if onnxruntime is not installed.
-            OSError: if the file cannot be read, or is none.
-            ValueError: if it is no model that ONNX Runtime can load.
+            OSError: if the file cannot be read.
+            ValueError: if ONNX Runtime cannot load it.
         """
         if self._opened is not None and self._process != os.getpid():
             _inherited.append(self._opened)
@@ -71,8 +69,8 @@ class Session:
         options.intra_op_num_threads = (
             torch.get_num_threads() if self.threads is None else self.threads
         )
-        # threads that spin while they wait take half the speed of what runs beside them; two
-        # threads on two cores then take 8 ms for our file of 256² instead of 5
+        # threads that spin while they wait halve the speed of whatever runs beside them: two on two
+        # cores then take 8 ms for our file of 256² instead of 5
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         level = ort.GraphOptimizationLevel
         options.graph_optimization_level = (
@@ -87,6 +85,6 @@ class Session:
             ) from error
 
     def __call__(self, inputs: Mapping[str, Tensor]) -> Tensor:
-        """The first output."""
+        """Return the first output for the inputs by name."""
         feed = {name: value.detach().cpu().contiguous().numpy() for name, value in inputs.items()}
         return torch.from_numpy(self.opened.run(None, feed)[0])

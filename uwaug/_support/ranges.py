@@ -7,13 +7,13 @@ import numpy as np
 from uwaug._support import checks
 
 Range = float | tuple[float, float]
-"""A number, or (low, high)."""
+"""Number, or range (low, high)."""
 
 
 def as_range(
     name: str, value: object, least: float = -math.inf, most: float = math.inf, unit: str = ""
 ) -> tuple[float, float]:
-    """A number or (low, high) as (low, high).
+    """Return a number or a range as (low, high).
 
     Raises:
         ValueError: if it is neither, the range falls, or it leaves [least, most] or is infinite.
@@ -31,7 +31,7 @@ def as_range(
 
 
 def read_range(text: str) -> Range | None:
-    """A number or a range as a person writes them, .4 or 1:5; None of other words."""
+    """Read a number or a range, such as ".4" or "1:5"; None where the text is neither."""
     try:
         ends = [float(part) for part in text.split(":")]
     except ValueError:

@@ -8,9 +8,8 @@ import torch
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run on one thread, the linear algebra of NumPy and SciPy too: the same numbers on any number
-    of cores, and less time. (Two threads that wait for each other take 3 to 6 times as long for
-    matrices of a dozen columns where other processes run as well.)
+    """Run PyTorch, NumPy and SciPy on one thread: the same numbers on any number of cores, and less
+    time. Beside other processes, two threads take 3 to 6 times as long for small matrices.
     """
     from threadpoolctl import threadpool_limits
 

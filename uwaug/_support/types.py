@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 Shape = Literal["gaussian", "exponential"]
-"""Of a point spread."""
+"""Shapes of a point spread."""
 
 ColorSpace = Literal["srgb", "linear"]
-"""What the values of a picture are: sRGB, or linear light as they stand."""
+"""Meanings of a picture's values: sRGB, or linear light."""

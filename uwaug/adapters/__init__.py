@@ -1,1 +1,1 @@
-"""uwaug inside of other libraries, each in a module of its own."""
+"""Adapters of uwaug for other libraries, a module each."""

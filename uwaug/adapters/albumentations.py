@@ -24,29 +24,28 @@ _MASKS = ("mask", "masks", "mask3d", "masks3d")
 
 
 class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
-    """Degrade pictures in an Albumentations pipeline.
+    """Transform that degrades pictures in an Albumentations pipeline.
 
     Args:
-        augment: a `RandomUnderwater`, or its options as a dict. Its own `p` has to be 1.
-        distance_key: the name under which a call passes the map of its image, an array (HxW). A
-            pipeline has to have it in `additional_targets={"distance": "mask"}`, so that it moves
-            with the picture. A second picture, image2, has a second map, distance2; left, say,
-            distance_left; several in `images` (NxHxWx3) have `distances` (NxHxW, of kind "masks").
-            Not needed where `augment` makes distances itself (`MadeUp`, `Network`, `Plane`).
-        scale: what the numbers of a map are multiplied by, such as .001 for mm.
-        channels: the order of the picture's colours; "bgr" is what OpenCV reads, and Ultralytics
-            passes on.
+        augment: a `RandomUnderwater`, or its options as a dict. Its `p` has to be 1.
+        distance_key: name of the map (HxW) of image in a call. So that it moves with the picture,
+            a pipeline needs it in `additional_targets={"distance": "mask"}`. The picture image2 has
+            the map distance2; left has distance_left; several in `images` (NxHxWx3) have
+            `distances` (NxHxW, of kind "masks"). No map is needed where `augment` makes distances
+            (`MadeUp`, `Network`, `Plane`).
+        scale: metres per unit of a map, such as .001 for mm.
+        channels: order of the picture's colours; "bgr" with OpenCV and Ultralytics.
         p: probability, as in all transforms of Albumentations.
 
     Targets:
-        image, and others of its kind (`additional_targets`), by the same draw, each at its own
-        distances: HxWx3, uint8 (0…255) or float32 (0…1). Pictures of `images` are frames of one
-        film, see `RandomUnderwater.for_clip`. Masks, boxes and keypoints are returned as they are.
+        image, and others of its kind (`additional_targets`): HxWx3, uint8 (0…255) or float32 (0…1);
+        one draw for all, each at its distances. Pictures of `images` are frames of one film, see
+        `RandomUnderwater.for_clip`. Masks, boxes and keypoints stay as they are.
 
-    Randomness comes from the pipeline: `A.Compose(…, seed=…)`. Albumentations 2.0 draws the same in
-    all workers of a DataLoader and in all epochs, whatever the transforms: call
-    `pipeline.set_random_seed(torch.initial_seed())` in a `worker_init_fn`. What was drawn is under
-    "record" in the "replay" of `A.ReplayCompose`, which takes the map that it is given.
+    Random numbers come from the pipeline: `A.Compose(…, seed=…)`. Albumentations 2.0 draws the same
+    in all workers of a DataLoader and in all epochs: call
+    `pipeline.set_random_seed(torch.initial_seed())` in a `worker_init_fn`. `A.ReplayCompose` keeps
+    the draw under "record" in its "replay", but no map.
 
     Raises:
         TypeError, ValueError: if an option, a picture or a map does not suit, or a map is missing.
@@ -83,26 +82,26 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         self._in_pipeline, self._moved = False, set(_MASKS)
 
     def add_targets(self, additional_targets: dict[str, str]) -> None:
-        """Hear of the arrays that a pipeline moves with the picture."""
+        """Note the arrays that a pipeline moves with the picture."""
         super().add_targets(additional_targets)
         self._moved |= {name for name, kind in additional_targets.items() if kind in _MASKS}
 
     def set_processors(self, processors: dict[str, Any]) -> None:
-        """Hear that there is a pipeline: each calls this of all its transforms."""
+        """Note that there is a pipeline: each one calls this of all its transforms."""
         super().set_processors(processors)
         self._in_pipeline = True
 
     def get_params(self) -> dict[str, Any]:
-        """What is random: a record, see `RandomUnderwater.make_params`."""
+        """Draw a record, see `RandomUnderwater.make_params`."""
         generator = torch.Generator().manual_seed(int(self.random_generator.integers(2**32)))
         return {"record": self.augment.make_params(torch.empty(3, 1, 1), generator)}
 
     def apply_with_params(
         self, params: dict[str, Any], *args: Any, **kwargs: Any
     ) -> dict[str, Any]:
-        """Degrade what a call passed, each picture by the map of its name, as a record says."""
-        # maps are found here: Albumentations shows a picture no other target, and as parameters
-        # they would be kept for replays, which may be of other pictures
+        """Degrade the pictures of a call by a record, each with the map of its name."""
+        # Albumentations gives `apply` no map; as parameters, maps would be kept for replays, which
+        # may be of other pictures
         result = dict(kwargs)
         for name, pictures in kwargs.items():
             if name in self._key2func and pictures is not None:
@@ -113,7 +112,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         return result
 
     def _distance(self, name: str, single: bool, targets: Mapping[str, Any]) -> Tensor:
-        """The map of a single picture (1xHxW), or those of several (Nx1xHxW), m."""
+        """Map of a single picture (1xHxW), or maps of several (Nx1xHxW), m."""
         key = self.distance_key
         key = name.replace("image", key, 1) if "image" in name else f"{key}_{name}"
         if targets.get(key) is None:
@@ -131,7 +130,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
     def apply(
         self, img: NDArray[Any], record: Record, distance: Tensor | None, **params: Any
     ) -> NDArray[Any]:
-        """One picture with water; or several (NxHxWx3), as the frames of a film."""
+        """Degrade a picture, or the frames of a film (NxHxWx3)."""
         step = -1 if self.channels == "bgr" else 1
         image = torch.from_numpy(np.ascontiguousarray(img[..., ::step])).movedim(-1, -3)
         if image.ndim == 4:
@@ -140,10 +139,10 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         return np.ascontiguousarray(result[..., ::step])
 
     def get_transform_init_args(self) -> dict[str, Any]:
-        """The options, as they are."""
+        """Options by name."""
         names = ("augment", "distance_key", "scale", "channels")
         return {name: getattr(self, name) for name in names}
 
     def to_dict_private(self) -> dict[str, Any]:
-        """The options, as JSON holds them. Reading them needs this module imported."""
+        """Options for JSON. To read them, this module must be imported."""
         return {**super().to_dict_private(), "augment": self.augment.to_dict()}

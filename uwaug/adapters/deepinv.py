@@ -17,19 +17,19 @@ except ImportError as missing:
 
 
 class UnderwaterPhysics(Physics):  # type: ignore[misc]
-    """y = N(A(x)), where A is the water between a scene and the camera.
+    """Forward operator y = N(A(x)), where A is the water between a scene and the camera.
 
     Args:
         water: an `Underwater` module, learnable or not; or a `Medium`, for `Underwater(medium)`.
-            `color_space="linear"` suits noise of photons, and is not clipped: sRGB has no gradient
-            where it is.
-        distance (Bx1xHxW or 1xHxW tensor): m along the ray. A buffer: `update(distance=…)`,
-            `update_parameters(distance=…)` and `physics(x, distance=…)` put another in its place.
-            Another water is put into `physics.water`.
+            `color_space="linear"` suits noise of photons. Unlike sRGB it is not clipped, which
+            would leave no gradient.
+        distance (Bx1xHxW or 1xHxW tensor): along the ray, m. A buffer: `update(distance=…)`,
+            `update_parameters(distance=…)` and `physics(x, distance=…)` replace it. To change the
+            water, set `physics.water`.
         options: of `deepinv.physics.Physics`, such as `noise_model`.
 
-    A is not linear: there is no `A_adjoint`. `A_vjp` is by autograd, in image and parameters;
-    `A_dagger` descends from the observed picture, unless it is given `x_init`.
+    A is not linear: there is no `A_adjoint`. `A_vjp` is by autograd, in image and parameters.
+    `A_dagger` descends from the observed picture, or from `x_init`.
 
     Shapes:
         x, y: as the image of `Underwater`, floating point.
@@ -53,21 +53,21 @@ class UnderwaterPhysics(Physics):  # type: ignore[misc]
         self.register_buffer("distance", distance)
 
     def A(self, x: Tensor, distance: Tensor | None = None, **params: Any) -> Tensor:
-        """The picture under water, without noise."""
+        """Picture under water, without noise."""
         self.update_parameters(distance=distance, **params)
         return self.water(x, self.distance)
 
     def A_vjp(self, x: Tensor, v: Tensor) -> Tensor:
         """Product of a picture v and the Jacobian of A at x."""
-        # Physics takes it by torch.func, whose tensors Underwater cannot look at
-        learned = (x, v, self.distance, *self.parameters())
-        recorded = torch.is_grad_enabled() and any(t.requires_grad for t in learned)
+        # Physics takes it by torch.func, whose tensors Underwater cannot read
+        tensors = (x, v, self.distance, *self.parameters())
+        create_graph = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
         with torch.enable_grad():
-            at = x if x.requires_grad else x.detach().requires_grad_()
-            (product,) = torch.autograd.grad(self.A(at), at, v, create_graph=recorded)
+            scene = x if x.requires_grad else x.detach().requires_grad_()
+            (product,) = torch.autograd.grad(self.A(scene), scene, v, create_graph=create_graph)
         return product
 
     def A_dagger(self, y: Tensor, x_init: Tensor | None = None) -> Tensor:
-        """A scene that looks like y under water, by descent; see `Physics`."""
+        """Scene that looks like y under water, by descent; see `Physics`."""
         scene: Tensor = super().A_dagger(y, y if x_init is None else x_init)
         return scene

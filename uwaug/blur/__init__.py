@@ -1,4 +1,4 @@
-"""A blur of a different width at every pixel: plan → stack of fixed blurs → weights."""
+"""Blur of a different width at every pixel: plan → stack of fixed blurs → weights."""
 
 from uwaug.blur.plan import NO_BLUR, BlurPlan, plan_blur
 from uwaug.blur.stack import varying_blur

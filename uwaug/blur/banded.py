@@ -1,18 +1,14 @@
 """Banded matrices that blur, shrink and enlarge one axis of an image, applied block by block.
 
-A Gaussian blur with half-sample symmetric edges is a banded matrix per axis; so is "blur, then keep
-every m-th sample", and so is spline interpolation back. Written as matrices the reflection at the
-edges is folded into the entries, grids need not divide the image size, a 1×1 image is nothing
-special, and the adjoint that gradients need is the transpose.
+A Gaussian blur with half-sample symmetric edges is a banded matrix per axis. So is "blur, then keep
+every m-th sample", and so is spline interpolation back. The reflection at the edges is folded into
+the entries, grids need not divide the image size, and the adjoint is the transpose.
 
 Each matrix is cut into row blocks that hold only the columns in use. Blocks that repeat are one
-batched matrix product on overlapping windows, which on a CPU is about as fast as one scaled
-addition per tap for the narrowest kernels and faster for all others: 3×256², one thread, σ 1.0 /
-1.5 / 4 px: blocks 0.28 / 0.31 / 0.28 ms, scaled additions 0.25 / 0.40 / 1.0, kornia's convolution
-1.1 / 1.4 / 2.7, a dense matrix 1.8; oneDNN strided convolutions lie between 0.3 and 3.
-
-Away from the edges the blocks repeat, so that only a period of them is made, and the edges: nothing
-grows with the square of the image's side.
+batched matrix product on overlapping windows. On a CPU that is as fast as one scaled addition per
+tap for the narrowest kernels and faster for all others: for 3×256² and σ = 4 px one thread takes
+0.28 ms, with scaled additions 1.0, a dense matrix 1.8, and kornia's convolution 2.7. Only the edges
+and one period of blocks are made: nothing grows with the square of the image's side.
 """
 
 import math
@@ -45,9 +41,7 @@ def mirrored(index: Index, size: int) -> Index:
 
 
 class Run(NamedTuple):
-    """`repeats` equal blocks of a matrix, one below the other: each `height` rows, and `step`
-    columns further on.
-    """
+    """Equal blocks of a matrix, one below the other: each `height` rows, `step` columns apart."""
 
     row: int
     height: int
@@ -59,27 +53,27 @@ class Run(NamedTuple):
 
 
 class Banded(NamedTuple):
-    """A banded matrix of `rows` rows, as runs of row blocks."""
+    """Banded matrix of `rows` rows, as runs of row blocks."""
 
     rows: int
     runs: tuple[Run, ...]
 
     @property
     def bytes(self) -> int:
-        """Memory of its blocks, of which several runs may share one."""
+        """Memory of the blocks, which runs may share."""
         blocks = {id(run.matrix): run.matrix for run in self.runs}
         return sum(block.numel() * block.element_size() for block in blocks.values())
 
 
 class Kernels(NamedTuple):
-    """A banded matrix A for an axis of any length: a kernel for each row, repeated with a period.
+    """Banded matrix A for an axis of any length: a kernel for each row, repeated with a period.
 
     Attributes:
         first (p): first column of the first p rows.
         weights (p, taps): weights of the columns from there on.
         step: columns from one period to the next.
         shift: row that begins a period.
-        reflects: whether columns beyond the edges are folded back.
+        reflects: columns beyond the edges are folded back.
     """
 
     first: Index
@@ -90,16 +84,16 @@ class Kernels(NamedTuple):
 
     @property
     def taps(self) -> int:
-        """Columns that a row uses."""
+        """Number of columns that a row uses."""
         return int(self.weights.shape[1])
 
     def starts(self, start: int, stop: int) -> Index:
-        """The first columns of rows `start` to `stop`, before reflection."""
+        """First columns of rows `start` to `stop`, before reflection."""
         turn, place = np.divmod(np.arange(start, stop) - self.shift, len(self.first))
         return np.asarray(self.first[place] + turn * self.step)
 
     def slab(self, start: int, stop: int, cols: int) -> tuple[int, Array]:
-        """Rows `start` to `stop` of A: the first column in use, and the weights from there on."""
+        """First column in use of rows `start` to `stop` of A, and their weights from there on."""
         columns = self.starts(start, stop)[:, None] + np.arange(self.taps)
         if self.reflects:
             columns = mirrored(columns, cols)
@@ -107,18 +101,18 @@ class Kernels(NamedTuple):
         rows, width = stop - start, high + 1 - low
         weights = self.weights[(np.arange(start, stop) - self.shift) % len(self.first)]
         place = columns - low + np.arange(rows)[:, None] * width
-        # what is folded onto one column adds up
+        # weights that are folded onto one column add up
         dense: NDArray[Any] = np.bincount(place.ravel(), weights.ravel(), rows * width)
         return low, dense.reshape(rows, width)
 
 
 class Matrix(NamedTuple):
-    """A, or its transpose, for an axis of a given length.
+    """Banded matrix A, or its transpose, for an axis of a given length.
 
     Attributes:
-        kernels: of the rows of A.
-        rows, cols: of A.
-        transposed: whether this is Aᵀ.
+        kernels: kernels of the rows of A.
+        rows, cols: size of A.
+        transposed: this is Aᵀ.
     """
 
     kernels: Kernels
@@ -127,7 +121,7 @@ class Matrix(NamedTuple):
     transposed: bool
 
     def slab(self, start: int, stop: int) -> tuple[int, Array]:
-        """Rows `start` to `stop`: the first column in use, and the weights from there on."""
+        """First column in use of rows `start` to `stop`, and their weights from there on."""
         kernels, cols = self.kernels, self.cols
         if not self.transposed:
             return kernels.slab(start, stop, cols)
@@ -147,12 +141,12 @@ class Matrix(NamedTuple):
         return low, padded[:, start:stop].T
 
     def edge(self) -> int:
-        """How many rows at either end differ from what the period says."""
+        """Number of rows at either end that do not repeat with the period."""
         kernels, rows, cols = self.kernels, self.rows, self.cols
         # a kernel that leaves the axis is at most so many rows from its end
-        near = (kernels.taps // kernels.step + 2) * len(kernels.first) + kernels.shift
-        near = min(near, rows)
-        head, tail = kernels.starts(0, near), kernels.starts(rows - near, rows)
+        count = (kernels.taps // kernels.step + 2) * len(kernels.first) + kernels.shift
+        count = min(count, rows)
+        head, tail = kernels.starts(0, count), kernels.starts(rows - count, rows)
         if not self.transposed:
             return int(max((head < 0).sum(), (tail + kernels.taps > cols).sum()))
         before, after = (int(kernels.starts(row, row + 1)[0]) for row in (-1, rows))
@@ -162,9 +156,9 @@ class Matrix(NamedTuple):
     def banded(
         self, axis: int, height: int, period: int, dtype: torch.dtype, device: torch.device
     ) -> Banded:
-        """The matrix in blocks of `height` rows; it repeats every `period` rows, whole blocks.
+        """Cut the matrix into blocks of `height` rows. It repeats every `period` rows.
 
-        axis: that it will be applied along; its blocks lie in memory as that product wants them.
+        In memory the blocks lie as the product along `axis` wants them.
         """
 
         def blocks(start: int, stop: int) -> list[Run]:
@@ -198,7 +192,7 @@ class Matrix(NamedTuple):
         dtype: torch.dtype,
         device: torch.device,
     ) -> list[Run]:
-        """Rows `start` to `stop` as blocks, each with the columns that it uses."""
+        """Cut rows `start` to `stop` into blocks, each with the columns that it uses."""
         if start == stop:
             return []
         first, slab = self.slab(start, stop)
@@ -217,7 +211,7 @@ class Matrix(NamedTuple):
 
 
 def along_rows(matrix: Banded, x: Tensor) -> Tensor:
-    """`matrix @ x` for x (rows, N), contiguous."""
+    """Product `matrix @ x` for x (rows, N), contiguous."""
     n, start = x.shape[1], x.storage_offset()
     out = x.new_empty(matrix.rows, n)
     for row, height, repeats, col, step, block, _ in matrix.runs:
@@ -231,7 +225,7 @@ def along_rows(matrix: Banded, x: Tensor) -> Tensor:
 
 
 def along_columns(matrix: Banded, x: Tensor) -> Tensor:
-    """`x @ matrix.T` for x (N, columns), contiguous."""
+    """Product `x @ matrix.T` for x (N, columns), contiguous."""
     (n, size), start = x.shape, x.storage_offset()
     out = x.new_empty(n, matrix.rows)
     for row, height, repeats, col, step, block, transposed in matrix.runs:
@@ -249,7 +243,7 @@ Kind = Literal["blur", "shrink", "enlarge"]
 
 
 class Node(NamedTuple):
-    """One blur of a stack: its width, px; the cell of its grid, px; kernels are cut at reach·σ."""
+    """One blur of a stack: its width and the cell of its grid, px; its kernel is cut at reach·σ."""
 
     sigma: float
     cell: float
@@ -257,10 +251,8 @@ class Node(NamedTuple):
 
 
 _CACHE: Cache[Banded] = Cache(8 * 2**20)
-"""Those of fifty sizes of a small picture, or of a few of a large one. With 16 MiB a process that
-gets pictures of random size grows by half, as blocks that stay lie between temporaries that go, and
-is no faster. To make one takes .1 ms; to put it together from blocks that sizes share would save
-3 % of a picture's time.
+"""Matrices for fifty sizes of a small picture, or for a few of a large one. With 16 MiB a process
+that gets pictures of random size is no faster, and grows by half: blocks lie between temporaries.
 """
 
 
@@ -280,7 +272,7 @@ def _kernels(kind: Kind, node: Node) -> Kernels:
 
 
 def whole(kind: Kind, size: int, node: Node, adjoint: bool = False) -> Matrix:
-    """A matrix of a node for an axis of `size` px, or its transpose, before it is cut."""
+    """Matrix of a node for an axis of `size` px, or its transpose, before it is cut into blocks."""
     a, q = per_cell(node.cell)
     cells = -(-size * a // q) + 2 * MARGIN
     shape = {"blur": (size, size), "shrink": (cells, size), "enlarge": (size, cells)}[kind]
@@ -296,28 +288,28 @@ def operator(
     device: torch.device,
     adjoint: bool = False,
 ) -> Banded:
-    """A matrix of a node for an axis of `size` px, or its transpose.
+    """Matrix of a node for an axis of `size` px, or its transpose, in blocks.
 
     Args:
-        kind: "blur" on the image's own grid; "shrink" to a coarser one, "enlarge" back.
-        axis: 0: along rows, 1: along columns.
-        size: of the image along that axis, px.
-        node: which blur.
-        adjoint: the transpose. That of a blur is itself: half-sample reflection makes the cosine
-            transform diagonalise it.
+        kind: "blur" on the image's grid; "shrink" to a coarser one, "enlarge" back.
+        axis: 0 for rows, 1 for columns.
+        size: the image's, along that axis, px.
+        node: one blur of a stack.
+        adjoint: transpose it. A blur is its own transpose: with half-sample reflection, the cosine
+            transform diagonalises it.
     """
     key = (kind, axis, size, node, dtype, device, adjoint)
     banded = _CACHE.get(key)
     if banded is not None:
         return banded
-    rows = 8 if axis == 0 else 32  # of a block, the fastest of 4…64 on 256 and 512 px
+    rows = 8 if axis == 0 else 32  # in a block: the fastest of 4…64 on 256 and 512 px
     a, q = per_cell(node.cell)
     # whole periods of the grid repeat; a strip of rows of the image ends between two blocks
     height = period = rows
     if kind != "blur":
         height, period = max(rows, min(q, PERIOD)), q
     if (kind == "enlarge" and adjoint) or (kind == "shrink" and not adjoint):
-        # they are cells
+        # their rows are cells
         height, period = a * -(-rows // a), a
     matrix = whole(kind, size, node, adjoint)
     banded = matrix.banded(axis, height, math.lcm(height, period), dtype, device)

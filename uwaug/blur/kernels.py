@@ -1,4 +1,4 @@
-"""The kernels of one axis: a Gaussian on the image's own grid, or on a coarser one and back."""
+"""Kernels of one axis: a Gaussian on the image's grid, or on a coarser grid and back."""
 
 import math
 from fractions import Fraction
@@ -11,25 +11,24 @@ from torch import Tensor
 from uwaug._support.types import Array
 
 PERIOD = 16
-"""px. The cells of a grid divide it evenly, or a cell is a whole multiple of it. Strips of rows are
-multiples of it.
+"""Period of grids (px): their cells divide it evenly, or are whole multiples of it. Strips of rows
+are multiples of it.
 """
 
 MARGIN = 2
-"""Cells of a grid beyond either edge, as a cubic spline needs."""
+"""Cells of a grid beyond either edge, which a cubic spline needs."""
 
 _POLE = math.sqrt(3.0) - 2.0
-"""Of the filter that turns samples into cubic B-spline coefficients."""
+"""Pole of the filter that turns samples into cubic B-spline coefficients."""
 
 _SPLINE_REACH = 8
-"""|_POLE|^8 = 3e-5, at a frequency where the Gaussian has already removed all but 1e-2."""
+"""Cells that the filter reaches: |_POLE|^8 = 3e-5, where the Gaussian leaves 1e-2."""
 
 
 def sampled_parameter(sigma: Array) -> Array:
-    """Parameter of the sampled Gaussian whose variance is sigma²: sigma itself from 1 px on.
+    """Parameter of the sampled Gaussian whose variance is sigma² px²: sigma itself from 1 px on.
 
-    A sampled Gaussian of σ = 0.5 px has a variance of 0.215 instead of 0.25 and one of 0.3 px
-    hardly reacts to σ.
+    A sampled Gaussian of σ = 0.5 px has a variance of 0.215 px² instead of 0.25.
     """
     parameters, variances = _sampled_variances()
     return np.where(sigma < 1, np.interp(sigma**2, variances, parameters), sigma)
@@ -37,7 +36,7 @@ def sampled_parameter(sigma: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def _sampled_variances() -> tuple[Array, Array]:
-    """Parameters of sampled Gaussians, and the variances that they have."""
+    """Parameters of sampled Gaussians, and their variances."""
     parameters = np.linspace(0.08, 1.05, 4096)
     squares = np.arange(1, 9) ** 2
     weights = np.exp(-0.5 * squares / parameters[:, None] ** 2)
@@ -53,8 +52,8 @@ def reflect(index: Tensor, size: int) -> Tensor:
 
 
 def blur_kernel(sigma: float, reach: float) -> Tensor:
-    """(1, 2r + 1) sampled Gaussian of variance sigma² px², cut at `reach`·sigma."""
-    from kornia.filters import get_gaussian_kernel1d  # 435 modules, which not all need
+    """Sampled Gaussian (1, 2r + 1) of variance sigma² px², cut at `reach`·sigma."""
+    from kornia.filters import get_gaussian_kernel1d  # loads 435 modules
 
     radius = math.ceil(reach * sigma)
     parameter = float(sampled_parameter(np.array(sigma)))
@@ -64,7 +63,7 @@ def blur_kernel(sigma: float, reach: float) -> Tensor:
 
 
 def per_cell(cell: float) -> tuple[int, int]:
-    """A grid's pitch as `a` cells on `q` px."""
+    """Pitch of a grid as (a, q): `a` cells on `q` px."""
     pitch = Fraction(cell).limit_denominator(PERIOD)
     return pitch.denominator, pitch.numerator
 
@@ -76,32 +75,32 @@ def shrink_kernels(
     cubic B-spline coefficients of the axis blurred by `sigma` px. Periodic, to the last bit.
 
     Sampling a Gaussian and solving for spline coefficients (Unser 1999, eq. 11) is one kernel,
-    Σ_k √3·pole^|k| g(x + k·cell): the blur itself is the anti-aliasing filter, and the spline loses
-    less than 70 dB from cell ≤ σ/1.1 on (linear interpolation: 45 dB; Keys' cubic: 57). With
+    Σ_k √3·pole^|k| g(x + k·cell). The blur is the anti-aliasing filter. The spline errs by 70 dB at
+    cell = σ/1.1 (linear interpolation: 45; Keys' cubic: 57). With
     g(x + k·cell) = g(x)·g(k·cell)·ratio^k it takes two exponentials and a polynomial.
     """
     cell = q / a
-    within = (torch.remainder(index, a).double() + 0.5) * cell - 0.5
+    centre = (torch.remainder(index, a).double() + 0.5) * cell - 0.5
     radius = math.ceil(reach * sigma)
-    first = torch.floor(within).long() - radius
-    x = (first[:, None] + torch.arange(2 * radius + 2, device=index.device)) - within[:, None]
+    first = torch.floor(centre).long() - radius
+    x = (first[:, None] + torch.arange(2 * radius + 2, device=index.device)) - centre[:, None]
     ratio = torch.exp(-x * (cell / sigma**2))
     g_cell = math.exp(-0.5 * (cell / sigma) ** 2)
     kernel, forth, back = torch.ones_like(x), torch.ones_like(x), torch.ones_like(x)
     for k in range(1, _SPLINE_REACH + 1):
-        # g(k·cell)·ratio^±k, each from the one before: g(k·cell) = g((k − 1)·cell)·g(cell)^(2k − 1)
+        # by recurrence: g(k·cell) = g((k − 1)·cell)·g(cell)^(2k − 1)
         step = g_cell ** (2 * k - 1)
         forth, back = forth * (ratio * step), back / ratio * step
         kernel = kernel + _POLE**k * (forth + back)
-    # cut at the same distance on both sides, wherever between two pixels the centre lies
+    # cut at the same distance on both sides of a centre between two pixels
     kernel = kernel * torch.exp(-0.5 * (x / sigma) ** 2) * (x.abs() <= radius + 0.5)
     period = torch.div(index, a, rounding_mode="floor")
     return first + period * q, kernel / kernel.sum(1, keepdim=True)
 
 
 def enlarge_kernels(index: Tensor, a: int, q: int) -> tuple[Tensor, Tensor]:
-    """First cell (n) and weights (n, 4) of the px `index`: the cubic B-spline with coefficients on
-    a grid of `a` cells for `q` px.
+    """First cell (n) and weights (n, 4) of the px `index`, for the cubic B-spline with coefficients
+    on a grid of `a` cells for `q` px.
     """
     x = (torch.remainder(index, q).double() + 0.5) * (a / q) - 0.5
     first = torch.floor(x).long() + torch.div(index, q, rounding_mode="floor") * a - 1

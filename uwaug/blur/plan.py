@@ -1,12 +1,12 @@
-"""How many blurs, which, and with what weights: chosen once for a range of widths.
+"""Plans of a varying blur: number, widths and weights of fixed blurs that serve a range of widths.
 
 An image is blurred at K fixed widths and combined per pixel with weights W_k(σ), ΣW_k = 1. A plan
-holds the widths, the grid of each and the weights as polynomials of v = ½ log(σ² + ½): logarithmic
-for wide blurs, linear in σ² for narrow ones, so that σ = 0 is the image itself and every gradient
-is finite. (An exponential shape is linear in σ there: v = log(σ + ½) needs 10 blurs where the other
-needs 16.) The weights are the least-squares fit, over a picture's frequencies (power ∝ 1/f²), of
-the K transfer functions to the wanted one; any point spread that is a mixture of Gaussians thus
-comes from the same stack.
+holds the widths, the grid of each, and the weights as polynomials of v = ½ log(σ² + ½). That is
+logarithmic for wide blurs and linear in σ² for narrow ones: σ = 0 is the image itself, and every
+gradient is finite. For an exponential shape v is log(σ + ½).
+
+The weights are the least-squares fit, over a picture's frequencies (power ∝ 1/f²), of the K
+transfer functions to the wanted one. Any mixture of Gaussians thus comes from the same stack.
 """
 
 import math
@@ -22,13 +22,12 @@ from uwaug._support.types import Array, Shape
 from uwaug.blur.kernels import PERIOD, sampled_parameter
 
 V_FLOOR = 0.5
-"""px² or, of an exponential shape, px: keeps v finite at σ = 0."""
+"""Offset in v that keeps it finite at σ = 0: px² of a Gaussian, px of an exponential shape."""
 
 _CONTRAST = 0.25
-"""Standard deviation of the picture that errors refer to, on a scale of 0…1."""
+"""Standard deviation of the picture that errors refer to (0…1)."""
 
-# How a plan is chosen. What other values make of the number of blurs: benchmarks/CHOICES.md, "Plans
-# of the blur".
+# What other values make of the number of blurs: benchmarks/CHOICES.md, "Plans of the blur".
 # Planned RMSE as a share of the tolerance: .002 gives 60 dB and .0005 72 dB.
 _PLANNED_SHARE = 0.48
 # The same if _MOST_NODES are not enough, as for the sharp tails of an exponential shape.
@@ -37,39 +36,38 @@ _PLANNED_SHARE_AT_MOST = 0.6
 _MOST_NODES = 32
 # Places in the range at which the weights are fitted.
 _PLACES = 33
-# So many errors of a single blur make up the planned RMSE.
+# Number of errors of a single blur that make up the planned RMSE.
 _BLUR_ERRORS = 3
 # A range from below this has σ = 0 among its blurs.
 _IDENTITY_BELOW_PX = 0.75
-# The least width beside σ = 0.
+# The least width beside σ = 0: px, or a share of the widest σ if that is less.
 _NARROWEST_PX = 0.6
-# Share of the widest σ, if that is less.
 _NARROWEST_SHARE = 0.7
-# An exponential shape of σ mixes Gaussians of widths σ/|N(0, 1)|; beyond x·σ lies .8/x of its light
-# The widest blur is _TAIL/target·σ.
+# An exponential shape of σ mixes Gaussians of widths σ/|N(0, 1)|, and .8/x of its light lies beyond
+# x·σ. Its widest blur is _TAIL/target·σ.
 _TAIL = 0.4
 # The widest blur in longest sides; wider ones all give the mean.
 _WIDEST_SIDES = 0.75
 # The narrowest blur as a share of the narrowest σ.
 _CORE_SHARE = 0.5
-# The narrowest blur that is not σ = 0.
+# The narrowest blur beside σ = 0.
 _NARROWEST_EXPONENTIAL_PX = 0.3
-# To which shared plans round what grids and kernels err.
+# Step to which shared plans round the error of grids and kernels.
 _STEP_DB = 6
 
 
 @dataclass(frozen=True)
 class BlurPlan:
-    """How a spatially varying blur is computed: a value, made by `plan_blur`.
+    """Plan of a spatially varying blur, made by `plan_blur`.
 
     Attributes:
-        sigma_min, sigma_max: widths served, px; a pixel outside is given the nearer end.
+        sigma_min, sigma_max: range of widths, px; a pixel outside gets the nearer end.
         sigmas: the K fixed widths, px; 0 is the image itself.
-        cells: grid cell of each, px; 1 is the image's own grid.
-        coefficients: K polynomials in v over the range, as Chebyshev series; they sum to 1.
+        cells: grid cell of each, px; 1 is the image's grid.
+        coefficients: weights as K polynomials in v over the range, Chebyshev series; they sum to 1.
         reach: kernels are cut at reach·σ.
         error: predicted RMSE over the range, on a picture with a standard deviation of 0.25.
-        shape: of the blur that a pixel asks for.
+        shape: shape of the blur at a pixel.
     """
 
     sigma_min: float
@@ -111,18 +109,17 @@ def plan_blur(
 
     Args:
         sigma_min, sigma_max: range of widths, px, 0 ≤ sigma_min ≤ sigma_max.
-        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
-            single pixels may be off by 3 to 5 times as much. Half of it is planned, so that .002
-            gives 60 dB and .0005 72 dB on a picture with a standard deviation of .25.
-        shape: what a pixel of width σ asks for. "gaussian": exp(−2π²σ²f²). "exponential":
-            exp(−2πσf), the classical transfer function of McGlamery (1980) and Jaffe (1990), whose
-            point spread ∝ (r² + σ²)^(−3/2) has half of its energy beyond 1.7 σ and no finite
-            variance. Below 2 px both shapes are what samples can hold: a sampled Gaussian, and the
-            mixture of those, of widths σ/|N(0, 1)|, that an exponential is.
-        longest: longest side of the images, px. An exponential shape needs no blurs much wider than
-            that, and no waves longer than twice it are planned for. Gaussians do not depend on it.
-        shared: take widths from half octaves, and round what grids and kernels may err, so that
-            plans of many media are put together from a few dozen blurs: 4 % more of them.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f².
+            Single pixels may be off by 3 to 5 times as much. Half of it is planned: .002 gives
+            60 dB and .0005 72 dB on a picture with a standard deviation of .25.
+        shape: transfer function at width σ. "gaussian": exp(−2π²σ²f²). "exponential": exp(−2πσf),
+            of McGlamery (1980) and Jaffe (1990); its point spread ∝ (r² + σ²)^(−3/2) has half of
+            its energy beyond 1.7 σ and no finite variance. Below 2 px both are as samples hold
+            them: a sampled Gaussian, and a mixture of those of widths σ/|N(0, 1)|.
+        longest: longest side of the images, px. An exponential shape needs no blurs much wider and
+            no waves longer than twice that. Gaussians do not depend on it.
+        shared: take widths from half octaves, and round the error of grids and kernels, so that
+            plans of many media share a few dozen blurs. Plans then have 4 % more blurs.
 
     Raises:
         ValueError: if the range, the longest side or the tolerance is not as above, or the
@@ -161,9 +158,8 @@ def _plan_blur(
     decibel = -20 * math.log10(target)
     if shared:
         decibel = _STEP_DB * math.ceil(decibel / _STEP_DB)
-    # Grid samples per σ, and σ at which kernels are cut, so that either errs by a third of the
-    # plan, 9.5 dB less: a grid of 1.1 samples by 70 dB and one of 1.5 by 84; a kernel of 3 σ by 70
-    # and one of 3.5 σ by 85.
+    # Grids and kernels err by a third of the plan each, 9.5 dB less: a grid of 1.1 samples per σ
+    # by 70 dB and one of 1.5 by 84; a kernel cut at 3 σ by 70 and one cut at 3.5 σ by 85.
     density = min(max(1.1 + (decibel - 60) / 40, 1.0), 3.0)
     return BlurPlan(
         sigma_min=low,
@@ -178,7 +174,7 @@ def _plan_blur(
 
 
 def _octave(shape: Shape, longest: float) -> float:
-    """The longest side that plans are made for, px: in octaves, so that sizes share plans."""
+    """Longest side (px) that plans are made for, in octaves, so that sizes share plans."""
     if shape == "gaussian":
         return 512.0
     # a tiny picture would ask too much of narrow blurs
@@ -186,9 +182,9 @@ def _octave(shape: Shape, longest: float) -> float:
 
 
 def _wanted(low: float, high: float, shape: Shape, longest: float) -> tuple[Array, Array]:
-    """Places in the range, −1…1, and the picture (P, F) that is wanted at each.
+    """Places in the range, −1…1, and the wanted amplitudes (P, F) at each.
 
-    They lie denser towards the ends, where the fit is worst. A single width has a single place.
+    Places lie denser towards the ends, where the fit is worst. A single width has a single place.
     """
     start, end = _v(low, shape), _v(high, shape)
     places = np.ones(1) if end - start < 1e-6 else -np.cos(np.linspace(0, np.pi, _PLACES))
@@ -201,7 +197,7 @@ def _wanted(low: float, high: float, shape: Shape, longest: float) -> tuple[Arra
 def _nodes(
     count: int, low: float, high: float, target: float, shape: Shape, longest: float
 ) -> tuple[float, ...]:
-    """The widths of a stack: `count` of them, and 0 if that is wanted."""
+    """Widths (px) of a stack: `count` of them, and 0 if the range begins near it."""
     if shape == "exponential":
         first, last = _CORE_SHARE * low, min(_TAIL / target * high, _WIDEST_SIDES * longest)
         narrowest = _NARROWEST_EXPONENTIAL_PX
@@ -216,7 +212,7 @@ def _nodes(
 
 
 def _snapped(sigmas: tuple[float, ...]) -> tuple[float, ...]:
-    """Widths at half octaves; at finer steps where two would become one."""
+    """Round widths to half octaves, or to finer steps where two would become one."""
     steps, snapped = 1, tuple[float, ...]()
     while len(set(snapped)) < len(set(sigmas)):
         steps *= 2
@@ -227,19 +223,19 @@ def _snapped(sigmas: tuple[float, ...]) -> tuple[float, ...]:
 def _fit(
     sigmas: tuple[float, ...], places: Array, wanted: Array, noise: float, longest: float
 ) -> tuple[Array, float]:
-    """Weights of the blurs as Chebyshev series over the range, (K, degree + 1); RMSE that is left.
+    """Weights of the blurs as Chebyshev series over the range (K, degree + 1), and their RMSE.
 
-    noise: error budget of a single blur (coarse grid, truncated kernel). Also the ridge strength,
-    which stops similar blurs from getting large opposite weights.
+    noise: error budget of a single blur (coarse grid, truncated kernel). It is also the ridge that
+    stops similar blurs from getting large opposite weights.
     """
     k = len(sigmas)
     basis = _gaussian_transfer(np.array(sigmas), longest) * _amplitude(longest)
-    # ΣW = 1 leaves k − 1 of the weights free: W = (0, …, 0, 1) + change @ free
+    # ΣW = 1 leaves k − 1 of the weights free: W = start + change @ free
     change = np.concatenate([np.eye(k - 1), -np.ones((1, k - 1))])
-    alone = np.zeros((k, len(places)))
-    alone[-1] = 1
+    start = np.zeros((k, len(places)))
+    start[-1] = 1
     system = np.concatenate([basis.T @ change, noise * change])
-    sides = np.concatenate([(wanted - basis[-1]).T, -noise * alone])
+    sides = np.concatenate([(wanted - basis[-1]).T, -noise * start])
     # first over the frequencies, at each place; then along the range
     free = np.linalg.lstsq(system, sides, rcond=1e-12)[0]
     degree = 0 if len(places) == 1 or k == 1 else k + (sigmas[0] == 0)
@@ -252,9 +248,7 @@ def _fit(
 
 
 def _cell(widest: float) -> float:
-    """The pitch of a grid, px, at most `widest`, so that a period holds whole cells or a cell whole
-    periods.
-    """
+    """Pitch of a grid, at most `widest` px: a period holds whole cells, or a cell whole periods."""
     if widest < 2:
         return 1.0
     if widest < PERIOD:
@@ -263,17 +257,17 @@ def _cell(widest: float) -> float:
 
 
 def octave_steps(value: float, per_octave: int, rounding: Callable[[float], int]) -> float:
-    """`value` rounded to a power of 2^(1/per_octave), so that similar values share a plan."""
+    """Round a value to a power of 2^(1/per_octave), so that similar values share a plan."""
     return float(2.0 ** (rounding(per_octave * math.log2(value)) / per_octave))
 
 
 def place_line(plan: BlurPlan) -> tuple[float, float]:
-    """Slope and offset of the place of a width in a plan's range, −1…1: the argument of its series.
+    """Slope and offset of the place, −1…1, of a width in a plan's range: the argument of series.
 
     The place is slope·ln(1 + x) + offset, with x = 2σ² of a Gaussian, as 2v = ln ½ + ln(1 + 2σ²),
-    and x = 2σ of an exponential shape, as v = ln ½ + ln(1 + 2σ). Of a single width both are 0. (No
-    method: those of a plan cannot be compiled.)
+    and x = 2σ of an exponential shape, as v = ln ½ + ln(1 + 2σ). Both are 0 for a single width.
     """
+    # no method, as methods of a plan cannot be compiled
     low, high = _v(plan.sigma_min, plan.shape), _v(plan.sigma_max, plan.shape)
     if low == high:
         return 0.0, 0.0
@@ -294,13 +288,13 @@ def _sigma(v: float, shape: Shape) -> float:
 
 
 def _amplitude(longest: float) -> float:
-    """Of each frequency of the picture that errors refer to."""
+    """Amplitude of each frequency of the picture that errors refer to."""
     return _CONTRAST / math.sqrt(_frequencies(longest).shape[1])
 
 
 @lru_cache(maxsize=8)
 def _frequencies(longest: float) -> Array:
-    """Frequencies of a picture whose longest side is `longest` px, (2, F), in cycles per px.
+    """Frequencies (2, F), in cycles per px, of a picture whose longest side is `longest` px.
 
     Rings at equal steps of log f hold equal power: area ∝ f·df, power density ∝ 1/f².
     """
@@ -313,13 +307,13 @@ def _frequencies(longest: float) -> Array:
 
 @lru_cache(maxsize=8)
 def _cosines(longest: float) -> Array:
-    """cos(2πfn) at those frequencies, for the taps n = 1…32 of a Gaussian of up to 4 px."""
+    """Cosines cos(2πfn) (2, 32, F) for the taps n = 1…32 of a Gaussian of up to 4 px."""
     taps = np.arange(1, 33)[:, None]
-    return np.asarray(np.cos(2 * np.pi * _frequencies(longest)[:, None] * taps))  # (2, 32, F)
+    return np.asarray(np.cos(2 * np.pi * _frequencies(longest)[:, None] * taps))
 
 
 def _gaussian_transfer(sigmas: Array, longest: float) -> Array:
-    """Transfer functions (S, F) of sampled Gaussians, at the frequencies of a picture."""
+    """Transfer functions (S, F) of sampled Gaussians at the frequencies of a picture."""
     squares = (_frequencies(longest) ** 2).sum(0)
     # wider than 4 px, sampling no longer shows
     transfer = np.exp(-2 * (np.pi * sigmas[:, None]) ** 2 * squares)
@@ -333,7 +327,7 @@ def _gaussian_transfer(sigmas: Array, longest: float) -> Array:
 
 @lru_cache(maxsize=8)
 def _mixture(longest: float) -> tuple[Array, Array]:
-    """Widths in equal steps of their logarithm, and transfer functions, of Gaussians to mix."""
+    """Widths, in equal steps of their logarithm, and transfer functions of Gaussians to mix."""
     widths = np.geomspace(0.05, 1e5, 400)
     return widths, _gaussian_transfer(widths, longest)
 
@@ -344,7 +338,7 @@ def _exponential_transfer(sigmas: Array, longest: float) -> Array:
     x = np.maximum(sigmas, 1e-9)[:, None] / widths  # |N(0, 1)| distributed
     step = math.log(widths[1] / widths[0])
     shares = math.sqrt(2 / math.pi) * x * np.exp(-0.5 * x * x) * step
-    # all below the first width counts as sharp: of its own step, half is left
+    # all below the first width counts as sharp, so that half of its step is left
     shares[:, 0] *= 0.5
     sharp = np.array([[math.erfc(sigma / widths[0] / math.sqrt(2))] for sigma in sigmas])
     return np.asarray(sharp + shares @ transfers)

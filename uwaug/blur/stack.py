@@ -1,4 +1,4 @@
-"""A plan carried out: the stack of fixed blurs, and each pixel's own mixture of them."""
+"""Execution of a plan: the stack of fixed blurs, and the mixture of them at each pixel."""
 
 import math
 from typing import Any
@@ -12,7 +12,7 @@ from uwaug.blur.banded import Banded, Kind, Node, along_columns, along_rows, ope
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line, plan_blur
 
 Chain = tuple[tuple[int, Banded], ...]
-"""Axis and matrix of each product, in the order of use."""
+"""Products in the order of use: axis and matrix of each."""
 
 
 def varying_blur(
@@ -24,8 +24,7 @@ def varying_blur(
         image (BxCxHxW tensor): float32 or float64, any scale.
         sigma (Bx1xHxW tensor): widths, px, finite, ≥ 0.
         plan: from `plan_blur`; by default one for the range of `sigma`.
-        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
-            single pixels may be off by 3 to 5 times as much.
+        tolerance: of that plan, see `plan_blur`.
 
     Returns:
         (BxCxHxW) tensor of the image's dtype, differentiable in both. Half precision is computed in
@@ -66,7 +65,7 @@ def _validate(image: Tensor, sigma: Tensor) -> None:
 
 
 def mixed(stack: list[Tensor], weights: Tensor) -> Tensor:
-    """Σ_k weights[:, k]·stack[k], for K images (BxCxHxW) and weights (BxKxHxW)."""
+    """Sum Σ_k weights[:, k]·stack[k] of K images (BxCxHxW) with weights (BxKxHxW)."""
     shares = torch.split(weights, 1, 1)  # gradients of slices would each fill all K with zeros
     total = shares[0] * stack[0]
     for share, image in zip(shares[1:], stack[1:], strict=True):
@@ -75,15 +74,7 @@ def mixed(stack: list[Tensor], weights: Tensor) -> Tensor:
 
 
 def node_weights(sigma: Tensor, plan: BlurPlan) -> Tensor:
-    """Weights of a plan's blurs at every pixel.
-
-    Args:
-        sigma (Bx1xHxW tensor): widths, px, finite, ≥ 0.
-        plan: from `plan_blur`.
-
-    Returns:
-        (BxKxHxW) weights that sum to 1 over K.
-    """
+    """Weights (BxKxHxW), with sum 1 over K, of a plan's K blurs for widths σ (Bx1xHxW, px, ≥ 0)."""
     coefficients = sigma.new_tensor(plan.coefficients)
     if coefficients.shape[1] == 1:
         return coefficients[:, :, None].expand(len(sigma), -1, *sigma.shape[-2:])
@@ -91,10 +82,7 @@ def node_weights(sigma: Tensor, plan: BlurPlan) -> Tensor:
 
 
 def node_slopes(sigma: Tensor, plan: BlurPlan) -> Tensor:
-    """Derivatives (BxKxHxW) of `node_weights` by σ; arguments as there.
-
-    Forward mode gives the same and takes five times as long.
-    """
+    """Derivatives (BxKxHxW) of `node_weights` by σ. Forward mode takes five times as long."""
     slopes = np.polynomial.chebyshev.chebder(np.array(plan.coefficients), axis=1)
     if len(plan.coefficients[0]) == 1:
         return sigma.new_zeros(len(sigma), len(plan.coefficients), *sigma.shape[-2:])
@@ -108,14 +96,14 @@ def node_slopes(sigma: Tensor, plan: BlurPlan) -> Tensor:
 
 
 def _place(sigma: Tensor, plan: BlurPlan) -> Tensor:
-    """Where in a plan's range a width lies, −1…1."""
+    """Places, −1…1, of widths in a plan's range."""
     slope, offset = place_line(plan)
     x = (sigma if plan.shape == "exponential" else sigma * sigma) * (1 / V_FLOOR)
     return torch.log1p(x).mul_(slope).add_(offset).clamp(-1, 1)
 
 
 def _series(coefficients: Tensor, x: Tensor) -> Tensor:
-    """K series (KxN) of Chebyshev polynomials at places (Bx1xHxW): (BxKxHxW)."""
+    """Values (BxKxHxW) of K Chebyshev series (KxN) at places (Bx1xHxW)."""
     # by their recurrence, T_n = 2x·T_(n−1) − T_(n−2)
     twice = 2 * x
     terms = [torch.ones_like(x), x]
@@ -128,9 +116,7 @@ def _series(coefficients: Tensor, x: Tensor) -> Tensor:
 
 @torch.library.custom_op("uwaug::node_blur", mutates_args=())
 def _node_blur(x: Tensor, sigma: float, cell: float, reach: float, adjoint: bool) -> Tensor:
-    """One blur of a stack on x (H, N, W), or its adjoint: an operator of its own, which
-    torch.compile keeps whole.
-    """
+    """Apply one blur of a stack, or its adjoint, to x (H, N, W). torch.compile keeps it whole."""
     size = (x.shape[0], x.shape[2])
     return products(x.contiguous(), chain_of(Node(sigma, cell, reach), size, x, adjoint))
 
@@ -164,7 +150,7 @@ def products(x: Tensor, chain: Chain) -> Tensor:
 
 
 def chain_of(node: Node, size: tuple[int, int], like: Tensor, adjoint: bool = False) -> Chain:
-    """Products of one blur of a stack, in the order of fewest operations; none for σ = 0."""
+    """Products of one blur of a stack, with the fewest operations; none for σ = 0."""
     if node.sigma == 0:
         return ()
     order: list[tuple[int, Kind]] = [(0, "blur"), (1, "blur")]
@@ -178,7 +164,7 @@ def chain_of(node: Node, size: tuple[int, int], like: Tensor, adjoint: bool = Fa
 
 
 def blurred(image: Tensor, plan: BlurPlan) -> list[Tensor]:
-    """The plan's blurs of a batch: K tensors like `image` (BxCxHxW), differentiable."""
+    """Blurs of a batch by a plan: K tensors like `image` (BxCxHxW), differentiable."""
     b, c, h, w = image.shape
     x = image.permute(2, 0, 1, 3).reshape(h, b * c, w)
     stack = []

@@ -46,7 +46,7 @@ _COMMANDS = (
     ("ONNX files", check, "7C.onnx"),
     ("This machine", warm_up, ""),
 )
-"""With the heading above each in the help, and an example that stands below its flags."""
+"""Commands, each with its heading in the help and the example below its flags."""
 
 for panel, command, example in _COMMANDS:
     epilog = f"Example: uwaug {command.__name__} {example}" if example else None
@@ -57,7 +57,7 @@ app.add_typer(preset, name="preset", rich_help_panel="Waters")
 def main() -> None:
     """Run the command line."""
     warnings.formatwarning = lambda message, *_: f"{message}\n"
-    # ended by a signal, Python would not remove the file that it is writing
+    # a signal would end Python without removing the file that it is writing
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -65,20 +65,20 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     try:
         try:
-            # the name of the variable through which shells ask is made of it
+            # shells ask for completion through a variable that is named after the program
             app(prog_name="uwaug")
         finally:
             sys.stdout.flush()
     except OSError as error:
-        # of the console alone, as commands report those of their files: else Python would try to
-        # write again when it ends, and fail again
+        # an error of the console, as commands report those of files; Python would write again when
+        # it ends, and fail again
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         print(f"Error: cannot write to the console: {error.strerror or error}", file=sys.stderr)
         sys.exit(1)
 
 
-def _print_version(asked: bool) -> None:
-    if asked:
+def _print_version(flag: bool) -> None:
+    if flag:
         print(f"uwaug {__version__}")
         raise typer.Exit
 

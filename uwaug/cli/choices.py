@@ -1,6 +1,6 @@
-"""Flags that several commands take.
+"""Flags of several commands, and how they are read.
 
-The library is not loaded for these, so that help and completion do not wait for it.
+The library is not loaded for them, so that help and completion do not wait for it.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,8 @@ WATERS = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
 
 
 def complete(*words: str) -> Callable[[str], list[str]]:
-    """A function that tells a shell which of the words begin as one that is being typed."""
+    """Shell completion of a few words."""
+    # typer knows the argument by its name
     return lambda incomplete: [w for w in words if w.lower().startswith(incomplete.lower())]
 
 
@@ -32,15 +33,15 @@ Distance = Annotated[
 Unit = Annotated[
     str,
     typer.Option(
-        help="Of distance files: m, cm, mm, or how many metres 1 stands for.",
+        help="Unit of distance files: m, cm, mm, or how many metres 1 stands for.",
         autocompletion=complete("m", "cm", "mm"),
     ),
 ]
 Holes = Annotated[
     str,
     typer.Option(
-        help="What 0 and NaN get: behind (as depth cameras want it), fill, far (open water), or "
-        "metres; error.",
+        help="Distance of pixels that hold 0 or NaN: behind (for depth cameras), fill, far (open "
+        "water), or metres; error refuses them.",
         metavar="WORD|METRES",
         autocompletion=complete("error", "fill", "behind", "far"),
     ),
@@ -48,24 +49,24 @@ Holes = Annotated[
 Water = Annotated[
     str | None,
     typer.Option(
-        help="A Jerlov type, contents (chlorophyll=5,cdom=0.3) or a CSV file.",
+        help="Jerlov type, contents (chlorophyll=5,cdom=0.3), or CSV file.",
         autocompletion=complete(*WATERS),
     ),
 ]
 Preset = Annotated[
     str | None,
     typer.Option(
-        help="A preset, its TOML file, or what uwaug fit has written.",
+        help="Preset, its TOML file, or a file that uwaug fit has written.",
         autocompletion=complete(*list_presets()),
     ),
 ]
-Workers = Annotated[int, typer.Option(help="Processes; 0: one for each core.")]
+Workers = Annotated[int, typer.Option(help="Number of processes; 0: one for each core.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on after a stop.")]
-Force = Annotated[bool, typer.Option("--force", help="Write over what is there.")]
+Force = Annotated[bool, typer.Option("--force", help="Write over existing files.")]
 
 
 def number_or_word(text: str) -> Any:
-    """A number where it is one."""
+    """The number that a text is, else the text."""
     try:
         return float(text)
     except ValueError:
@@ -73,22 +74,22 @@ def number_or_word(text: str) -> Any:
 
 
 def read_metres(distance: str, unit: str, image: "Tensor") -> "Tensor":
-    """The distances (1xHxW, m) of a picture (3xHxW): of a file, or everywhere the same."""
+    """Distances (1xHxW, m) of a picture (3xHxW): from a file, or the same everywhere."""
     import torch
 
     from uwaug.distance.sizes import brought_to, require_aspect
     from uwaug.files.pictures import read_distance
 
-    metres = number_or_word(distance)
-    if isinstance(metres, float):
-        return torch.full((1, *image.shape[-2:]), metres)
+    number = number_or_word(distance)
+    if isinstance(number, float):
+        return torch.full((1, *image.shape[-2:]), number)
     z = read_distance(distance, number_or_word(unit))
     require_aspect(distance, z, image)
     return brought_to((image.shape[-2], image.shape[-1]), z)
 
 
 def read_scene(picture: Path, distance: str, unit: str, holes: str) -> "Scene":
-    """A picture and its distances as a sheet shows them."""
+    """A picture with its distances, for a sheet."""
     from uwaug.distance import Metres
     from uwaug.files.pictures import read_picture
     from uwaug.presets.scene import own_scene
@@ -97,5 +98,5 @@ def read_scene(picture: Path, distance: str, unit: str, holes: str) -> "Scene":
     z = read_metres(distance, unit, image)
     unknown = float((~(z > 0)).double().mean())
     scene = own_scene(image, Metres(number_or_word(holes)).metres(z, image, {}))
-    filled = f" {unknown:.2%} of the distances were unknown, and got: {holes}." if unknown else ""
-    return replace(scene, note=(scene.note + filled).strip())
+    note = f" {unknown:.2%} of the distances were unknown, and got: {holes}." if unknown else ""
+    return replace(scene, note=(scene.note + note).strip())

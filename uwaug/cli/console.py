@@ -1,4 +1,4 @@
-"""What commands have in common: exit codes, errors, what they say meanwhile."""
+"""Exit codes, errors and progress of commands."""
 
 import os
 import sys
@@ -14,9 +14,7 @@ if TYPE_CHECKING:
 
 
 def end(code: int, message: object) -> NoReturn:
-    """End with 1: a file that cannot be read or written or is not what it should be, or a package
-    that is missing; or with 2: used wrongly.
-    """
+    """Print an error and end, with code 1 if a file or a package failed, 2 for wrong use."""
     if isinstance(message, OSError) and message.filename and message.strerror:
         message = f"{message.filename}: {message.strerror}"  # without the number of the error
     print(f"Error: {message}", file=sys.stderr)
@@ -25,8 +23,8 @@ def end(code: int, message: object) -> NoReturn:
 
 @contextmanager
 def reported_errors() -> Iterator[None]:
-    """End with one line and an exit code where the library raises. Where the content of a file is
-    at fault, the library names the file first.
+    """End with one line and an exit code where the library raises. Messages on the content of a
+    file begin with its name.
     """
     try:
         yield
@@ -37,7 +35,7 @@ def reported_errors() -> Iterator[None]:
 
 
 def _with_flag(message: str) -> str:
-    """An error that begins with an argument of the library, with the flag that was given for it."""
+    """The message, with a flag for the argument that it begins with, if that flag was given."""
     name = message.partition(" ")[0].rstrip(":")
     flag = f"--{name.replace('_', '-')}"
     is_given = any(word.partition("=")[0] == flag for word in sys.argv)
@@ -45,7 +43,7 @@ def _with_flag(message: str) -> str:
 
 
 def require_folder(out: Path) -> None:
-    """Refuse, before any work, the name of a picture where a command writes a folder of them."""
+    """Refuse the name of a picture where a command writes a folder of pictures."""
     from uwaug.files.pictures import ENDINGS
 
     if out.suffix.lower() in ENDINGS and not out.is_dir():
@@ -53,8 +51,8 @@ def require_folder(out: Path) -> None:
 
 
 def require_writable(path: Path, *, force: bool, endings: tuple[str, ...] = ()) -> None:
-    """Refuse, before any work, to write over another file unasked, or to a name that does not end
-    in one of `endings`; fail where no file can be.
+    """Refuse, before any work, a file that cannot be written, that exists, or whose name does not
+    end in one of `endings`.
     """
     if endings and path.suffix not in endings:
         end(2, f"--out must end in {' or '.join(endings)}, got {path}")
@@ -67,28 +65,28 @@ def require_writable(path: Path, *, force: bool, endings: tuple[str, ...] = ()) 
 
 
 def print_counts(summary: "Summary", what: str, out: Path) -> None:
-    """Say how many pictures or maps a run has written to where."""
+    """Print how many pictures or maps a run has written to a folder."""
     skipped = summary.count("skipped")
-    already = f", {skipped} were there" if skipped else ""
-    print(f"{summary.count('written')} of {len(summary.results)} {what} written to {out}{already}")
+    more = f", {skipped} were there" if skipped else ""
+    print(f"{summary.count('written')} of {len(summary.results)} {what} written to {out}{more}")
 
 
 def end_if_failed(failures: Sequence[str]) -> None:
-    """End with 1 and the first of what went wrong, if anything did."""
+    """End with code 1 and the first five failures, if there are any."""
     if failures:
         more = f"\nand {len(failures) - 5} more" if len(failures) > 5 else ""
         end(1, "\n".join(failures[:5]) + more)
 
 
 def print_written(*paths: Path) -> None:
-    """Name the files that were written."""
+    """Print names and sizes of files."""
     for path in paths:
         print(f"{path}  ({path.stat().st_size / 1024:.0f} KiB)")
 
 
 @contextmanager
 def status() -> Iterator[Callable[[str], None]]:
-    """Say on a terminal what is being done, for as long as it is."""
+    """Show on a terminal what is being done."""
     from rich.console import Console
 
     with Console(stderr=True).status("starting") as line:
@@ -97,13 +95,13 @@ def status() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def counted() -> Iterator[Callable[[int, int], None]]:
-    """Tell on a terminal how many of how many are done."""
+    """Show on a terminal how many of all pictures are done."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     console = Console(stderr=True)
-    off = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=off) as progress:
+    disable = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=disable) as progress:
         task = progress.add_task("", total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)

@@ -15,14 +15,14 @@ from uwaug.files.formats import formats
 def degrade(
     context: typer.Context,
     pictures: Annotated[
-        Path, typer.Argument(help="A picture, a folder; or a record, to make it again.")
+        Path, typer.Argument(help="Picture or folder; or a record, whose picture is made again.")
     ],
-    out: Annotated[Path, typer.Option(help="The file or folder to write.")],
+    out: Annotated[Path, typer.Option(help="File or folder to write.")],
     distance: Annotated[
         str | None,
         typer.Option(
-            help="A file, a folder, or a pattern such as {stem}_depth.png; metres, or 1:5. By "
-            "default made-up, from each picture alone.",
+            help="Distances: a file, a folder, or a pattern such as {stem}_depth.png; or metres, "
+            "as 3 or 1:5. By default made-up, guessed from each picture.",
             metavar="PATH|METRES|made-up",
         ),
     ] = None,
@@ -31,19 +31,19 @@ def degrade(
     water: Annotated[
         list[str] | None,
         typer.Option(
-            help="A Jerlov type, contents, also in ranges (chlorophyll=1:20,cdom=.1:1), or a CSV "
-            "file; repeat it to draw. Many waters by default."
+            help="Jerlov type, contents, also in ranges (chlorophyll=1:20,cdom=.1:1), or CSV "
+            "file; repeat it to draw from several. Many waters by default."
         ),
     ] = None,
     contrast: Annotated[
         str | None,
-        typer.Option(help="Left at the median distance: .4, or .1:.8; none: the water as it is."),
+        typer.Option(help="Contrast left at median distance, .4 or .1:.8; none keeps the water."),
     ] = None,
     like: Annotated[
         list[Path] | None,
         typer.Option(
-            help="A photograph taken under water that pictures shall look like: of all draws, its "
-            "nearest; repeat it."
+            help="Photograph taken under water that pictures shall look like: the nearest of "
+            "random waters are taken; repeat it for several."
         ),
     ] = None,
     preset: Preset = None,
@@ -51,24 +51,24 @@ def degrade(
         bool,
         typer.Option(
             "--plain",
-            help="Nothing random but what you name: even water as it is in nature, at the surface, "
-            "a camera that changes nothing.",
+            help="Draw nothing at random but what you name: even, natural water at the surface, "
+            "and a camera that changes nothing.",
         ),
     ] = False,
     set_: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
-            help="Any option: water.vertical_depth=0:5, development.saturation=1, light=none; "
-            "drift=.004, m a frame, of a sequence; quality=80, of JPEG; repeat it.",
+            help="Set any option: water.vertical_depth=0:5, development.saturation=1, light=none; "
+            "for films drift=.004, m a frame; for JPEG quality=80; repeat it for several.",
             metavar="NAME=VALUE",
         ),
     ] = None,
     options: Annotated[
-        Path | None, typer.Option(help="The same in a TOML file, such as a preset's.")
+        Path | None, typer.Option(help="TOML file of options, as presets have them.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of all that is random.")] = 0,
-    variants: Annotated[int, typer.Option(help="Of each picture.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
+    variants: Annotated[int, typer.Option(help="Number of variants of each picture.")] = 1,
     workers: Workers = 0,
     sequence: Annotated[
         bool, typer.Option("--sequence", help="Each folder is a film: one draw for its frames.")
@@ -76,10 +76,10 @@ def degrade(
     resume: Resume = False,
     force: Force = False,
     sheet: Annotated[bool, typer.Option("--sheet", help="Draw some results on a sheet.")] = False,
-    ray: Annotated[str | None, typer.Option(help="A Ray cluster: auto, host:port; local.")] = None,
-    labels: Annotated[str | None, typer.Option(help=f"Of the pictures: {formats()}.")] = None,
+    ray: Annotated[str | None, typer.Option(help="Ray cluster: auto, host:port, or local.")] = None,
+    labels: Annotated[str | None, typer.Option(help=f"Labels of pictures: {formats()}.")] = None,
     min_contrast: Annotated[
-        float | None, typer.Option(help="Leaves out labels of which less contrast is left.")
+        float | None, typer.Option(help="Least contrast left for a label to be kept, 0…1.")
     ] = None,
 ) -> None:
     """Put pictures under water: a random water for each, or the ones that you name.
@@ -92,12 +92,14 @@ def degrade(
             from uwaug.files import replay
 
             sources = {name: context.get_parameter_source(name) for name in context.params}
-            given = {
-                name for name, source in sources.items() if source and source.name != "DEFAULT"
-            }
-            if said_too := sorted(given - {"pictures", "out", "force"}):
-                flags = ", ".join(f"--{name.rstrip('_').replace('_', '-')}" for name in said_too)
-                raise ValueError(f"{pictures} is a record, which says all but --out: not {flags}")
+            flags = [
+                f"--{name.rstrip('_').replace('_', '-')}"
+                for name, source in sorted(sources.items())
+                if source and source.name != "DEFAULT" and name not in ("pictures", "out", "force")
+            ]
+            if flags:
+                got = ", ".join(flags)
+                raise ValueError(f"{pictures} is a record, which says all but --out: not {got}")
             replay(pictures, out, force=force)
             print_written(out)
             return
@@ -108,31 +110,32 @@ def degrade(
         from uwaug.files.prepare import prepare
         from uwaug.transforms import RandomUnderwater
 
-        chosen = _options(preset, plain, options, set_ or (), water or (), contrast)
-        of_run = {name: chosen.pop(name) for name in ("drift", "quality") if name in chosen}
-        if "drift" in of_run and not sequence:
+        values = _options(preset, plain, options, set_ or (), water or (), contrast)
+        run_values = {name: values.pop(name) for name in ("drift", "quality") if name in values}
+        if "drift" in run_values and not sequence:
             raise ValueError("--set drift is of films, whose frames --sequence makes of a folder")
-        if plain and not (chosen["water"].get("waters") and (distance or "distance" in chosen)):
+        if plain and not (values["water"].get("waters") and (distance or "distance" in values)):
             raise ValueError("--plain draws nothing: give both, one --water and --distance")
-        of_maps: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
-        said = distances_of(distance, chosen.pop("distance", None), sequence=sequence, **of_maps)
-        if said.source is not None:
-            chosen["distance"] = said.source
+        map_values: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
+        source = values.pop("distance", None)
+        distances = distances_of(distance, source, sequence=sequence, **map_values)
+        if distances.source is not None:
+            values["distance"] = distances.source
         recipe = Recipe(
-            RandomUnderwater.from_dict(chosen),
-            unit=of_maps["unit"],
+            RandomUnderwater.from_dict(values),
+            unit=map_values["unit"],
             seed=seed,
             variants=variants,
             labels=labels,
             min_contrast=min_contrast,
             sequence=sequence,
-            **of_run,
+            **run_values,
         )
-        items = find_items(pictures, said.maps, exclude=[out, labels])
-        if others := left_out(pictures, said.maps, exclude=[out, labels]):
-            print(f"left out, as such files are not read: {others}")
+        items = find_items(pictures, distances.maps, exclude=[out, labels])
+        if formats_left_out := left_out(pictures, distances.maps, exclude=[out, labels]):
+            print(f"left out, as such files are not read: {formats_left_out}")
         recipe, sentences = prepare(recipe, items, like or ())
-        for sentence in filter(None, (said.note, *sentences)):
+        for sentence in filter(None, (distances.note, *sentences)):
             print(sentence, flush=True)
         with counted() as progress:
             summary = run(
@@ -151,9 +154,9 @@ def degrade(
         count, kept = summary.objects
         print(f"{kept} of {count} labels kept", *summary.notes, sep="\n")
     if summary.blank:
-        some = f"{len(summary.blank)} of them, such as {summary.blank[0]}"
+        names = f"{len(summary.blank)} of them, such as {summary.blank[0]}"
         cure = "are distances in another unit? If not, take clearer water by --contrast"
-        print(f"next to nothing is left to see of {some}: {cure}")
+        print(f"next to nothing is left to see of {names}: {cure}")
     if summary.odd:
         print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}")
     for question in summary.asked:
@@ -169,9 +172,7 @@ def _options(
     waters: Sequence[str],
     contrast: str | None,
 ) -> dict[str, Any]:
-    """Options of `RandomUnderwater` as plain values; the later of these take the place of the
-    earlier.
-    """
+    """Options of `RandomUnderwater` as plain values; later arguments replace earlier ones."""
     from uwaug.presets.preset import load_preset, read_tables
     from uwaug.transforms import RandomDevelopment, RandomWater
 
@@ -182,13 +183,13 @@ def _options(
         nouns = {"water": RandomWater.PLAIN, "development": RandomDevelopment.PLAIN}
         options = {**{name: dict(values) for name, values in nouns.items()}, "light": None}
     if preset is not None:
-        replaced = {"water": waters[0]} if waters else {}
-        options |= load_preset(preset, **replaced).to_dict()
-        options.pop("distance", None)  # of a preset's own maps
+        changes = {"water": waters[0]} if waters else {}
+        options |= load_preset(preset, **changes).to_dict()
+        options.pop("distance", None)  # it is of the preset's maps
     if file is not None:
         for name, value in read_tables(file).items():
-            both = isinstance(value, dict) and isinstance(options.get(name), dict)
-            options[name] = options[name] | value if both else value
+            are_tables = isinstance(value, dict) and isinstance(options.get(name), dict)
+            options[name] = options[name] | value if are_tables else value
     if waters:
         options["water"]["waters"] = list(waters)
     if contrast is not None:
@@ -197,20 +198,20 @@ def _options(
         name, equals, text = setting.partition("=")
         if not equals:
             raise ValueError(f"--set expects NAME=VALUE, got {setting!r}")
-        *places, last = name.strip().split(".")
+        *tables, key = name.strip().split(".")
         target = options
-        for place in places:
-            if target.get(place) in (None, "none"):
-                target[place] = {}
-            target = target[place]
+        for table in tables:
+            if target.get(table) in (None, "none"):
+                target[table] = {}
+            target = target[table]
             if not isinstance(target, dict):
-                raise ValueError(f"--set {setting}: {place} is {target!r}, no table")
-        target[last] = _value(text)
+                raise ValueError(f"--set {setting}: {table} is {target!r}, no table")
+        target[key] = _value(text)
     return options
 
 
 def _value(text: str) -> Any:
-    """A value as TOML writes it, a range such as .2:.5, none, or a word."""
+    """The value of a text: as TOML has it, a range such as .2:.5, none, or a word."""
     from uwaug._support.ranges import read_range
 
     if text.lower() == "none":

@@ -7,35 +7,29 @@ from typing import Annotated
 import typer
 
 from uwaug.cli.choices import Force, Resume, Workers, complete
-from uwaug.cli.console import (
-    counted,
-    end_if_failed,
-    print_counts,
-    reported_errors,
-    require_folder,
-)
+from uwaug.cli.console import counted, end_if_failed, print_counts, reported_errors, require_folder
 
 _HOLDS = ("inverse", "relative", "metres")
 
 
 def depth(
-    pictures: Annotated[Path, typer.Argument(help="A picture or a folder.")],
-    network: Annotated[Path, typer.Option(help="An ONNX file that takes one picture.")],
-    out: Annotated[Path, typer.Option(help="The folder of the maps.")],
+    pictures: Annotated[Path, typer.Argument(help="Picture or folder of pictures.")],
+    network: Annotated[Path, typer.Option(help="ONNX file of a network that takes one picture.")],
+    out: Annotated[Path, typer.Option(help="Folder to write the maps to.")],
     holds: Annotated[
         str,
         typer.Option(
-            help="What it gives: inverse depth, large = near (MiDaS, Depth Anything); relative, "
-            "0 near … 1 far; or metres.",
+            help="Output of the network: inverse depth, large = near (MiDaS, Depth Anything); "
+            "relative, 0 near … 1 far; or metres.",
             metavar="|".join(_HOLDS),
             autocompletion=complete(*_HOLDS),
         ),
     ] = "inverse",
-    short_side: Annotated[int, typer.Option(help="Of its input, px, where the file allows.")] = 518,
-    multiple: Annotated[int, typer.Option(help="Of its patches, px; 32 for MiDaS.")] = 14,
-    mean: Annotated[str, typer.Option(help="Of red, green, blue.")] = "0.485,0.456,0.406",
-    std: Annotated[str, typer.Option(help="Of red, green, blue.")] = "0.229,0.224,0.225",
-    bgr: Annotated[bool, typer.Option("--bgr", help="It takes blue first.")] = False,
+    short_side: Annotated[int, typer.Option(help="Short side of the input, px, if free.")] = 518,
+    multiple: Annotated[int, typer.Option(help="Side of the patches, px; 32 for MiDaS.")] = 14,
+    mean: Annotated[str, typer.Option(help="Mean of red, green, blue.")] = "0.485,0.456,0.406",
+    std: Annotated[str, typer.Option(help="Deviation of red, green, blue.")] = "0.229,0.224,0.225",
+    bgr: Annotated[bool, typer.Option("--bgr", help="The network takes blue first.")] = False,
     workers: Workers = 0,
     resume: Resume = False,
     force: Force = False,
@@ -61,8 +55,8 @@ def depth(
             bgr=bgr,
         )
         items = find_items(pictures, exclude=[out])
-        if others := left_out(pictures, exclude=[out]):
-            print(f"left out, as such files are not read: {others}")
+        if formats_left_out := left_out(pictures, exclude=[out]):
+            print(f"left out, as such files are not read: {formats_left_out}")
         with counted() as progress:
             summary = write_maps(
                 model,
@@ -76,14 +70,15 @@ def depth(
             )
     print_counts(summary, "maps", out)
     end_if_failed(summary.failures)
-    said = "--unit mm --holes far" if holds == "metres" else f"--set distance.kind={kind.__name__}"
-    ends = "" if holds == "metres" else " --set distance.near=1 --set distance.far=5"
+    flags = f"--set distance.kind={kind.__name__} --set distance.near=1 --set distance.far=5"
+    if holds == "metres":
+        flags = "--unit mm --holes far"
     files = f"{quote(str(pictures))} --distance {quote(str(out))}"
-    print(f"go on: uwaug degrade {files} {said}{ends} --out underwater")
+    print(f"go on: uwaug degrade {files} {flags} --out underwater")
 
 
 def _colour(name: str, text: str) -> tuple[float, ...]:
-    """Three numbers."""
+    """The three numbers of an option."""
     try:
         red, green, blue = map(float, text.split(","))
     except ValueError:

@@ -10,14 +10,14 @@ from uwaug.cli.console import end, print_written, reported_errors, require_writa
 
 
 def export(
-    out: Annotated[Path, typer.Option(help="The .onnx file to write.")],
+    out: Annotated[Path, typer.Option(help=".onnx file to write.")],
     preset: Preset = None,
     water: Water = None,
     coefficients: Annotated[
-        bool, typer.Option("--coefficients", help="Inputs of the file: one for many waters.")
+        bool, typer.Option("--coefficients", help="Inputs for coefficients: a file for any water.")
     ] = False,
     sides: Annotated[
-        tuple[int, int], typer.Option(help="Smallest and largest short side that it serves, px.")
+        tuple[int, int], typer.Option(help="Smallest and largest short side of pictures, px.")
     ] = (32, 2160),
     force: Force = False,
 ) -> None:
@@ -40,7 +40,7 @@ def export(
     print(f"    {module.medium}")
 
 
-def check(path: Annotated[Path, typer.Argument(help="A file that uwaug has exported.")]) -> None:
+def check(path: Annotated[Path, typer.Argument(help="ONNX file that uwaug has exported.")]) -> None:
     """Check an ONNX file against the module it came from."""
     from uwaug.onnx import check_onnx
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from uwaug.presets.scene import Scene
 
-OutFolder = Annotated[Path, typer.Option(help="Folder for the pictures; made if need be.")]
+OutFolder = Annotated[Path, typer.Option(help="Folder to write the pictures to.")]
 
 
 def demo(out: OutFolder = Path("uwaug-demo"), force: Force = False) -> None:
@@ -63,16 +63,16 @@ def plot(
 def compare(
     picture: Picture,
     distance: Distance,
-    out: Annotated[Path, typer.Option(help="The sheet to write: .png or .jpg.")],
+    out: Annotated[Path, typer.Option(help="Sheet to write: .png or .jpg.")],
     unit: Unit = "m",
     holes: Holes = "error",
     water: Water = "II",
     system: Annotated[
-        list[str] | None, typer.Option(help="A published system; repeat it. All by default.")
+        list[str] | None, typer.Option(help="Published system; repeat it for more. All by default.")
     ] = None,
     force: Force = False,
 ) -> None:
-    """Your scene as each published system makes it."""
+    """Draw your own scene as each published system makes it."""
     require_writable(out, force=force, endings=(".png", ".jpg"))
     from uwaug._support.extras import require
     from uwaug.figures.comparison import draw_comparison
@@ -89,14 +89,14 @@ def compare(
 def _draw_into(
     out: Path, scene: "Scene", pictures: "Mapping[str, Callable[[Scene], Figure]]", force: bool
 ) -> None:
-    """Draw the sheets of a scene into a folder, which is made if need be, and name them."""
+    """Draw the sheets of a scene into a folder, and print their names."""
     from uwaug._support.extras import require
     from uwaug.figures.sheet import save
 
     require_folder(out)
-    others = sorted(set(os.listdir(out)) - set(pictures)) if out.is_dir() else []
-    if others and not force:
-        end(2, f"{out} holds other files, such as {others[0]}: choose an empty folder, or --force")
+    names = sorted(set(os.listdir(out)) - set(pictures)) if out.is_dir() else []
+    if names and not force:
+        end(2, f"{out} holds other files, such as {names[0]}: choose an empty folder, or --force")
     start = time.perf_counter()
     with reported_errors(), status() as say:
         require("plot", "matplotlib")

@@ -1,4 +1,4 @@
-"""`uwaug fit`: which water is this?"""
+"""`uwaug fit`: the water of a picture."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,27 +10,26 @@ from uwaug.cli.console import print_written, reported_errors, require_writable
 
 
 def fit(
-    clean: Annotated[Path, typer.Option(help="The scene without water.")],
-    observed: Annotated[Path, typer.Option(help="The scene in the water.")],
+    clean: Annotated[Path, typer.Option(help="Picture of the scene without water.")],
+    observed: Annotated[Path, typer.Option(help="Picture of the scene in the water.")],
     distance: Distance,
-    out: Annotated[Path, typer.Option(help="The JSON file to write.")],
+    out: Annotated[Path, typer.Option(help="JSON file to write.")],
     unit: Unit = "m",
     holes: Annotated[
-        str,
-        typer.Option(help="Of 0 and NaN: none leaves them out, far is open water; error."),
+        str, typer.Option(help="Pixels of 0 or NaN: none drops them, far is open water; or error.")
     ] = "error",
     model: Annotated[
         Literal["auto", "haze", "veil", "gaussian", "exponential", "waters"],
-        typer.Option(help="waters: which Jerlov type, its contrast and depth."),
+        typer.Option(help="Model of the water; waters finds its Jerlov type, contents and depth."),
     ] = "auto",
     gain: Annotated[
         Literal["free", "fixed"], typer.Option(help="Exposure and daylight above the scene.")
     ] = "free",
     color_space: Annotated[
         Literal["srgb", "linear"],
-        typer.Option(help="linear: values as they are, of light, or a haze composed in them."),
+        typer.Option(help="Values of the pictures; linear: as they are, of light or of a haze."),
     ] = "srgb",
-    figure: Annotated[Path | None, typer.Option(help="A PNG of the fit.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="PNG file of the fit to write.")] = None,
     force: Force = False,
 ) -> None:
     """Recover a water from a picture without it and a picture in it."""

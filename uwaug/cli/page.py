@@ -1,4 +1,4 @@
-"""`uwaug page`: a page to try it in a browser."""
+"""`uwaug page`: the model in a browser."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,7 +10,7 @@ from uwaug.cli.console import print_written, reported_errors, require_writable
 
 
 def page(
-    out: Annotated[Path, typer.Option(help="The HTML file to write.")] = Path("uwaug-page.html"),
+    out: Annotated[Path, typer.Option(help="HTML file to write.")] = Path("uwaug-page.html"),
     image: Annotated[
         Path | None, typer.Option(help="The scene without water; a motorcycle by default.")
     ] = None,
@@ -25,9 +25,9 @@ def page(
     holes: Holes = "error",
     water: Annotated[
         str | None,
-        typer.Option(help="The Jerlov type that it begins with.", autocompletion=complete(*WATERS)),
+        typer.Option(help="Jerlov type of the first view.", autocompletion=complete(*WATERS)),
     ] = None,
-    open_: Annotated[bool, typer.Option("--open", help="Open it in a browser.")] = False,
+    open_: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
     force: Force = False,
 ) -> None:
     """Write a page that shows what degrade makes: your own pictures, every slider, offline."""
@@ -53,14 +53,14 @@ def page(
         else:
             picture = read_picture(image)
             if distance is None:
-                metres = MadeUp().metres(None, picture, {"near": 1.0, "far": 8.0, "scene": 0.5})
+                z = MadeUp().metres(None, picture, {"near": 1.0, "far": 8.0, "scene": 0.5})
                 source["guessed"] = True
             else:
-                metres = read_metres(distance, unit, picture)
-                metres = Metres(number_or_word(holes)).metres(metres, picture, {})
+                z = read_metres(distance, unit, picture)
+                z = Metres(number_or_word(holes)).metres(z, picture, {})
                 source = {"picture": str(image), "distance": distance, "holes": holes}
                 source |= {"unit": metres_of(number_or_word(unit)), "width": picture.shape[-1]}
-            scene = own_scene(picture, metres, PIXELS)
+            scene = own_scene(picture, z, PIXELS)
         write_page(out, scene, source, water)
     print_written(out)
     if open_:

@@ -9,8 +9,8 @@ from uwaug.cli.choices import WATERS, complete
 from uwaug.cli.console import reported_errors
 from uwaug.presets.files import list_presets, preset_path
 
-_WIDE = 250
-"""Columns: more than any row has."""
+_TABLE_COLUMNS = 250
+"""Width of the printed table in letters: more than any row has."""
 
 preset = typer.Typer(help="List presets, or show one.", no_args_is_help=True)
 
@@ -27,11 +27,12 @@ def list_() -> None:
     for name in list_presets():
         preset = load_preset(name)
         low, high = preset.water.field or (1.0, 1.0)
-        z: Any = preset.distance
-        what = preset_path(name).read_text(encoding="utf-8").partition("\n")[0].lstrip("# ")
-        table.add_row(name, f"{z.near:g}–{z.far:g}", f"{z.gamma:g}", f"{low:g}–{high:g}", what)
+        source: Any = preset.distance
+        title = preset_path(name).read_text(encoding="utf-8").partition("\n")[0].lstrip("# ")
+        ends = f"{source.near:g}–{source.far:g}"
+        table.add_row(name, ends, f"{source.gamma:g}", f"{low:g}–{high:g}", title)
     # a line for each, that a script can read, however narrow the terminal
-    Console(width=_WIDE).print(table)
+    Console(width=_TABLE_COLUMNS).print(table)
 
 
 @preset.command()
@@ -39,11 +40,11 @@ def show(
     name: Annotated[
         str,
         typer.Argument(
-            help="A preset, or the path of a .toml file.", autocompletion=complete(*list_presets())
+            help="Preset, or the path of a .toml file.", autocompletion=complete(*list_presets())
         ),
     ],
 ) -> None:
-    """Print a preset's file, from which to make your own, and the medium that it comes to."""
+    """Print the file of a preset, and its medium."""
     from uwaug.presets import load_preset
 
     with reported_errors():
@@ -82,6 +83,6 @@ def waters() -> None:
     print("\nNot as printed in Solonenko & Mobley 2015, or doubtful:")
     for water in types:
         for note in water.provenance:
-            # what is taken whole from the table has a citation without wavelengths
+            # values taken from the table as a whole have a citation without wavelengths
             if " nm: " in note:
                 print(f"  {note}")

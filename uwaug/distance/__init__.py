@@ -1,5 +1,5 @@
-"""Metres along the ray, from what people have: metric depth, disparity, relative or inverse depth,
-a depth network, a plane, or made up.
+"""Distances along the ray (m) from metric depth, disparity, relative or inverse depth, a depth
+network, a plane, or made up.
 """
 
 from uwaug.distance.convert import along_ray, from_disparity, from_inverse, from_relative

@@ -1,9 +1,8 @@
-"""Metres along the ray, from what people have: metric depth, disparity, relative or inverse depth,
-a depth network.
+"""Conversions to metres along the ray.
 
-Convention: maps are (..., H, W) tensors, float32 or float64 (half precision is taken up to
-float32). NaN stands for an unknown distance and stays NaN until `fill_unknown`; +inf stands for
-open water. A pixel's index (i, j) has its centre at (i + 0.5, j + 0.5).
+Convention: maps are (..., H, W) tensors, float32 or float64; half precision is taken up to float32.
+NaN is an unknown distance and stays NaN until `fill_unknown`; +inf is open water. The pixel (i, j)
+has its centre at (i + 0.5, j + 0.5).
 """
 
 import torch
@@ -22,11 +21,11 @@ def from_relative(
             *inverse* depth instead: see `from_inverse`.
         near, far: metres at t = 0 and at t = 1, 0 ≤ near ≤ far < inf; numbers, or tensors that
             broadcast against `t`, such as (B, 1, 1, 1).
-        gamma: > 0, likewise; above 1 moves the middle distance nearer.
+        gamma: exponent, > 0; a number or such a tensor. Above 1 the middle distance is nearer.
 
     Returns:
-        Distance in metres, shape of `t` (broadcast). t^gamma is continued as a straight line below
-        t = 1e-6, so that the gradient is finite at 0 for gamma < 1 too.
+        Distance in metres, shape of `t` (broadcast). Below t = 1e-6, t^gamma is a straight line, so
+        that the gradient is finite at 0 for gamma < 1, too.
 
     Raises:
         ValueError: `t` leaves [0, 1], or `near`, `far`, `gamma` are out of range.
@@ -54,14 +53,13 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
     """Scale inverse relative depth, as monocular networks give it (near = large), to metres.
 
     MiDaS, DPT and Depth Anything predict 1/z up to an unknown scale *and* shift, so neither 1/value
-    nor 1 − value is a distance. Each map is therefore normalised by its own least and largest value
-    to s in [0, 1], and s is mapped affinely in 1/z, where it is affine: 1/z = 1/far + (1/near −
-    1/far)·s.
+    nor 1 − value is a distance. Each map is normalised by its least and largest value to s in
+    [0, 1], and 1/z = 1/far + (1/near − 1/far)·s.
 
     Args:
         inverse: (..., H, W), any scale and shift; NaN or infinite = unknown.
-        near, far: metres at the map's largest and at its least value, 0 < near ≤ far; far is inf
-            for open water or sky; numbers, or tensors that broadcast against `inverse`.
+        near, far: metres at the map's largest and at its least value, 0 < near ≤ far; inf for far
+            is open water or sky; numbers, or tensors that broadcast against `inverse`.
 
     Returns:
         Distance in metres, shape of `inverse` (broadcast), NaN where unknown.
@@ -87,7 +85,7 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
     largest = torch.where(finite, inverse, -torch.inf).amax((-2, -1), keepdim=True)
     flat = ~(largest > least)
     if bool(flat.any()):
-        got = f"{which(flat)} that is constant or has no finite value"
+        got = f"{first_bad_map(flat)} that is constant or has no finite value"
         cure = "scale whole maps before they are cropped"
         raise ValueError(f"inverse must vary within each map, got {got}: {cure}")
     # halves, whose difference no pair of finite values can make infinite
@@ -99,10 +97,8 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
 def from_disparity(
     disparity: Tensor, focal_px: float, baseline_m: float, offset_px: float = 0.0
 ) -> Tensor:
-    """Turn the disparity of a rectified stereo pair into planar metric depth: focal·baseline /
-    (disparity + offset).
-
-    The result is depth along the optical axis; pass it through `along_ray` for distance.
+    """Turn the disparity of a rectified stereo pair into depth along the optical axis:
+    focal·baseline / (disparity + offset). `along_ray` turns that into distance.
 
     Args:
         disparity: (..., H, W), pixels. NaN or infinite = unknown. If your files mark unknown pixels
@@ -137,8 +133,7 @@ def from_disparity(
 def along_ray(
     depth: Tensor, focal_px: float | tuple[float, float], centre: tuple[float, float] | None = None
 ) -> Tensor:
-    """Turn planar depth (along the optical axis, as depth maps hold it) into distance along each
-    pixel's ray.
+    """Turn depth along the optical axis, as depth maps hold it, into distance along each ray.
 
     Pixel (i, j) looks along ((j + 0.5 − cx)/fx, (i + 0.5 − cy)/fy, 1), so z = depth·√(1 + x² + y²).
     OpenCV counts from the centre of the first pixel: add 0.5 to its principal point.
@@ -173,15 +168,15 @@ def along_ray(
 
 
 def as_maps(name: str, x: Tensor) -> Tensor:
-    """Check a tensor of maps; half precision is taken up to float32."""
+    """Check a tensor of maps (..., H, W), and take half precision up to float32."""
     checks.floating(name, x, ": 8-bit values need / 255, millimetres / 1000")
     if x.ndim < 2:
         raise ValueError(f"{name} must have shape (..., H, W), got {tuple(x.shape)}")
     return x.float() if x.dtype.itemsize < 4 else x
 
 
-def which(bad: Tensor) -> str:
-    """The first map that is bad, in words."""
+def first_bad_map(bad: Tensor) -> str:
+    """Name the first map that `bad` marks, for an error."""
     if bad.numel() == 1:
         return "a map"
     return f"map {int(bad.flatten().nonzero()[0])} of {bad.numel()}, counted from 0,"

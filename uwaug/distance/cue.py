@@ -1,7 +1,7 @@
-"""What looks near and what looks far in a picture: a small network of our own.
+"""Guesses of near and far in a picture, by a small network of our own.
 
-It was trained from scratch by `python -m benchmarks.depth.train --minutes 35 --out FILE`, on scenes
-that are rendered, with procedural textures: it has seen no photograph.
+`python -m benchmarks.depth.train --minutes 35 --out FILE` has trained it from scratch on rendered
+scenes with procedural textures. It has seen no photograph.
 """
 
 import math
@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import conv2d, interpolate
 
 WEIGHTS = Path(__file__).with_name("cue.f16")
-"""Kernels and biases of `LAYERS` in turn, as little-endian float16."""
+"""File of kernels and biases of `LAYERS` in turn, as little-endian float16."""
 
 LAYERS = {
     "half1": (5, 16, 3),
@@ -35,20 +35,21 @@ LAYERS = {
     "at_half": (16, 16, 3),
     "answer": (16, 2, 3),
 }
-"""Channels in and out and the side of the kernel. All are followed by ReLU, but "answer", "whole"
-and "to_…".
+"""Channels in, channels out and side of the kernel, by layer. ReLU follows all layers but "answer",
+"whole" and "to_…".
 """
 
-_PIXELS = 12288
-"""Of the copy that the network sees."""
+_COPY_PIXELS = 12288
+"""Pixels of the small copy that the network sees."""
 
 Convolve = Callable[[str, Tensor, int], Tensor]
-"""A layer by name, of an input, with a stride."""
+"""Function (name, input, stride) → output of a layer."""
 
 
 def answer(pictures: Tensor, convolve: Convolve) -> Tensor:
-    """The network: pictures (Bx3xHxW, sRGB in 0…1, sides multiples of 16) to how far (relative, in
-    the logarithm) and how open (a logit) each place is (Bx2xH/2xW/2).
+    """Run the network on pictures (Bx3xHxW, sRGB in 0…1, sides multiples of 16).
+
+    Returns (Bx2xH/2xW/2): the relative distance in the logarithm, and the logit of open water.
     """
     count, _, height, width = pictures.shape
     rows, columns = (pictures.new_tensor(np.linspace(-1, 1, side)) for side in (height, width))
@@ -60,9 +61,9 @@ def answer(pictures: Tensor, convolve: Convolve) -> Tensor:
     eighth = convolve("eighth2", convolve("eighth1", quarter, 2), 1)
     x = convolve("sixteenth2", convolve("sixteenth1", eighth, 2), 1)
     x = x + convolve("whole", x.mean((2, 3), keepdim=True), 1)
-    for name, like in (("eighth", eighth), ("quarter", quarter), ("half", half)):
-        finer = interpolate(convolve(f"to_{name}", x, 1), like.shape[2:], mode="bilinear")
-        x = convolve(f"at_{name}", (finer + like).relu(), 1)
+    for name, skip in (("eighth", eighth), ("quarter", quarter), ("half", half)):
+        finer = interpolate(convolve(f"to_{name}", x, 1), skip.shape[2:], mode="bilinear")
+        x = convolve(f"at_{name}", (finer + skip).relu(), 1)
     return convolve("answer", x, 1)
 
 
@@ -71,23 +72,23 @@ Weights = dict[str, tuple[Tensor, Tensor]]
 
 
 def is_rectified(layer: str) -> bool:
-    """Whether ReLU follows a layer."""
+    """True if ReLU follows a layer."""
     return layer not in ("answer", "whole") and not layer.startswith("to_")
 
 
 def small_copy(picture: Tensor) -> Tensor:
-    """A picture (3xHxW) as the network sees it: some 12,000 pixels, sides multiples of 16; on the
-    processor, with whites as they were.
+    """Shrink a picture (3xHxW) to some 12,000 pixels, sides multiples of 16, on the processor. The
+    scale of its values stays.
     """
-    scale = math.sqrt(_PIXELS / picture[0].numel())
+    scale = math.sqrt(_COPY_PIXELS / picture[0].numel())
     sides = [min(max(16 * round(side * scale / 16), 16), 512) for side in picture.shape[1:]]
-    every = max(1, int(0.25 / scale))  # four samples along each side of a small pixel will do
-    sampled = picture[:, ::every, ::every].float()
+    stride = max(1, int(0.25 / scale))  # four samples along each side of a small pixel will do
+    sampled = picture[:, ::stride, ::stride].float()
     return interpolate(sampled[None], sides, mode="area")[0].cpu()
 
 
 def layers_of(weights: Weights) -> Convolve:
-    """The layers with such weights, as `answer` takes them."""
+    """Make the layers for `answer` from their weights."""
 
     def convolve(name: str, x: Tensor, stride: int) -> Tensor:
         kernel, bias = weights[name]
@@ -99,18 +100,19 @@ def layers_of(weights: Weights) -> Convolve:
 
 @torch.no_grad()
 def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
-    """How far each place of a picture (3xHxW, sRGB in 0…1) is, in the logarithm, up to scale and
-    shift; and with what probability it is open: sky, water, a plain backdrop. Both have half its
-    sides. Of a mirrored picture the mirrored map, as it is asked both ways round.
+    """Guess distances of a picture (3xHxW, sRGB in 0…1), mirrored ones of a mirrored picture.
+
+    Returns (H/2xW/2 each): logarithms of distance, up to scale and shift; and the probability of
+    open water, sky or a plain backdrop.
     """
-    ways = answer(torch.stack([picture, picture.flip(2)]), layers_of(weights))
-    log, is_open = 0.5 * (ways[0] + ways[1].flip(2))
+    outputs = answer(torch.stack([picture, picture.flip(2)]), layers_of(weights))
+    log, is_open = 0.5 * (outputs[0] + outputs[1].flip(2))
     return log, is_open.sigmoid()
 
 
 @cache
 def learnt() -> Weights:
-    """The weights of the wheel, read once."""
+    """Weights that come with the package, read once."""
     numbers, weights, start = np.fromfile(WEIGHTS, "<f2").astype(np.float32), {}, 0
     for name, (before, after, side) in LAYERS.items():
         middle = start + before * after * side * side

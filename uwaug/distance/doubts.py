@@ -1,4 +1,4 @@
-"""Does a map hold what it is taken for? Sentences for a person, before pictures are made of it."""
+"""Doubts whether maps hold metres, in sentences, before pictures are made of them."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -12,17 +12,17 @@ from uwaug._support.once import Once
 from uwaug.distance.sizes import same_aspect, size_in_words
 from uwaug.distance.unknown import FARTHEST_SEEN, alone_of_metres, in_words, of_metres
 
-_CELLS = 72
-"""Of a small copy, along the shorter side. Of each cell of a map nine pixels are looked at."""
+_CELLS_ACROSS = 72
+"""Cells of a small copy along the shorter side. Nine pixels are read in each cell of a map."""
 
 REVERSED = -0.1
-"""Convexity below which near and far are exchanged. Of true crops 1 in 100 has less."""
+"""Convexity below which near and far are exchanged. One true crop in 100 has less."""
 
-_SEVERAL = 4
-"""Maps of which that is asked: one alone may be a bowl, or a ramp that somebody has made."""
+_REVERSED_LEAST_MAPS = 4
+"""Number of maps from which on their convexity is judged: one may be a bowl, or a made-up ramp."""
 
-_RUN = 8
-"""Maps of a process that are judged together."""
+_RUN_MAPS = 8
+"""Number of first maps of a process that are judged together."""
 
 _INVERSE = "Inverse(near, far) (--set distance.kind=Inverse)"
 
@@ -39,47 +39,46 @@ _SCALES = (
 )
 _STRETCHED = len(_SCALES) - 1
 
-_MOST = tuple(65535 * unit for unit in (1e-3, 1e-2))
-"""m, of 16 bits in mm and cm."""
+_LARGEST_16_BITS_M = tuple(65535 * unit for unit in (1e-3, 1e-2))
+"""Largest distance (m) that 16 bits hold in mm and in cm."""
 
-_FEW = 0.2
-"""Of a map's pixels: what is alone on more may be a wall."""
+_STAND_IN_SHARE = 0.2
+"""Largest share of a map's pixels that a stand-in may hold: more may be a wall."""
 
 
 class Evidence(NamedTuple):
-    """What one map shows, in some 600 numbers."""
+    """Properties of one map that `judged` needs, in some 600 numbers."""
 
-    digest: int  # of a small copy: which map it is
-    size: str  # a sentence, where it does not have the picture's
+    digest: int  # hash of a small copy, which tells maps apart
+    size: str  # sentence, if the map has another size than its picture
     holes: float  # share of unknown pixels
-    alone: str  # a sentence, where a number is far from all others
-    top: float  # the number
-    scale: int  # which of `_SCALES`, or -1
-    convexity: float  # above 0 for distances, below for disparities; NaN where it says nothing
-    fit: Tensor | None  # of edges to edges, by shift
-    cells: int  # along the shorter side
+    alone: str  # sentence, if a number is far from all others
+    top: float  # that number
+    scale: int  # index into `_SCALES`, or -1
+    convexity: float  # above 0 for distances, below for disparities; NaN where it cannot be told
+    fit: Tensor | None  # correlation of the map's edges and the picture's, by shift
+    cells: int  # cells of the small copy along the shorter side
 
 
 def doubts(distance: Tensor | Sequence[Tensor], image: Tensor | Sequence[Tensor]) -> list[str]:
-    """What speaks against maps being metres along the ray, in step with their pictures.
+    """Tell why maps may not be metres along the ray that fit their pictures.
 
-    Several of a run are judged together: said is what most of them show; one that comes again
-    counts once. Near and far are told apart by surfaces: in the picture of a plane 1/z is linear,
-    so that the logarithm of distances is convex and that of disparities concave, however it is
-    turned or cut. Not told, as it cannot be reliably: planar depth of a wide view (see
-    `along_ray`), relative maps beyond 1, disparities of scenes without slanted surfaces, shifts
-    below 5 % of the shorter side.
+    Several maps are judged together, by what most of them show; a map that comes again counts
+    once. Near and far are told apart by surfaces: in the picture of a plane 1/z is linear, so that
+    the logarithm of distances is convex and that of disparities concave. Not found: planar depth
+    of a wide view (see `along_ray`), relative maps beyond 1, disparities of scenes without slanted
+    surfaces, shifts below 5 % of the shorter side.
 
     Args:
-        distance: a map (1xHxW, as it is read: 0, negative and NaN = unknown, +inf = open water),
-            several of any size, or a batch (Bx1xHxW).
+        distance: a map (1xHxW; 0, negative and NaN = unknown, +inf = open water), several maps of
+            any size, or a batch (Bx1xHxW).
         image: as many pictures (3xHxW, uint8 or 0…1).
 
     Returns:
-        Sentences, each with the cure; none where there is nothing to doubt.
+        Sentences, each with its cure; none where there is nothing to doubt.
 
     Raises:
-        TypeError, ValueError: if these are no maps and pictures, or not as many.
+        TypeError, ValueError: if these are no maps and pictures, or not as many of both.
     """
     maps = [distance] if isinstance(distance, Tensor) and distance.ndim == 3 else list(distance)
     pictures = [image] if isinstance(image, Tensor) and image.ndim == 3 else list(image)
@@ -89,32 +88,32 @@ def doubts(distance: Tensor | Sequence[Tensor], image: Tensor | Sequence[Tensor]
 
 
 class FirstMaps(Once):
-    """The first maps of a process: the first is questioned alone, and eight of them as a run."""
+    """Doubts about the first maps of a process: about the first one alone, and about eight."""
 
     def renew(self) -> None:
         """See `Once.renew`."""
         super().renew()
-        self.seen: dict[int, Evidence] = {}
+        self.entries: dict[int, Evidence] = {}
 
     def question(self, distance: Tensor, image: Tensor, stacklevel: int = 2) -> None:
-        """Warn, once, of what speaks against a map (1xHxW) and those before it being metres."""
+        """Warn, once, of doubts about a map (1xHxW) and those before it."""
         if not self.due():
             return
-        shown = evidence(distance, image)._replace(size="")  # which `brought_to` tells
-        first = not self.seen
-        self.seen.setdefault(shown.digest, shown)
-        if len(self.seen) == _RUN:
+        entry = evidence(distance, image)._replace(size="")  # `brought_to` tells the size
+        first = not self.entries
+        self.entries.setdefault(entry.digest, entry)
+        if len(self.entries) == _RUN_MAPS:
             self.looks_left = 0
-        if (first or not self.looks_left) and (sentences := judged(self.seen.values())):
+        if (first or not self.looks_left) and (sentences := judged(self.entries.values())):
             self.warn("; ".join(sentences), stacklevel + 1)
 
 
-first_maps = FirstMaps(looks=4 * _RUN)
-"""Where one map serves many pictures, a process waits for others no longer than that."""
+first_maps = FirstMaps(looks=4 * _RUN_MAPS)
+"""Doubts of this process. Where one map serves many pictures, it waits for 32 and no more."""
 
 
 def evidence(distance: Tensor, image: Tensor) -> Evidence:
-    """What a map (1xHxW) and its picture (3xHxW) show, for `judged`."""
+    """Collect what a map (1xHxW) and its picture (3xHxW) show, for `judged`."""
     checks.floating("distance", distance)
     checks.picture("distance", distance, 1)
     checks.picture("image", image, 3)
@@ -124,64 +123,66 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     if not z.numel():
         return Evidence(0, size, 0.0, "", torch.nan, -1, torch.nan, None, 0)
     short = min(h, w)
-    cells = min(_CELLS, max(1, short // 3))
-    rows, columns = (min(4 * _CELLS, cells * side // short) for side in (h, w))
+    cells = min(_CELLS_ACROSS, max(1, short // 3))
+    rows, columns = (min(4 * _CELLS_ACROSS, cells * side // short) for side in (h, w))
     points = interpolate(z[None], (3 * rows, 3 * columns), mode="nearest-exact")[0, 0]
-    is_known = points > 0
-    nine = torch.where(is_known, points, torch.nan).reshape(rows, 3, columns, 3).transpose(1, 2)
+    is_valid = points > 0
+    nine = torch.where(is_valid, points, torch.nan).reshape(rows, 3, columns, 3).transpose(1, 2)
     log = nine.flatten(2).nanmedian(-1).values.log()
     fit = None
-    if cells >= _CELLS // 2 and same_aspect((h, w), (height, width)):
+    if cells >= _CELLS_ACROSS // 2 and same_aspect((h, w), (height, width)):
         green = interpolate(picture[None, 1:2].float(), (rows, columns), mode="area")[0, 0]
-        fit = _fit(log, green if picture.is_floating_point() else green / 255)
-    alone, holes = of_metres(z) | alone_of_metres(z), 1 - float(is_known.float().mean())
-    is_asked = 0 < float(alone.float().mean()) < _FEW
-    words = in_words(z, alone, "if they are unknown, set them to 0") if is_asked else ""
-    top = float(z[alone][0]) if is_asked else torch.nan
+        fit = _edge_fit(log, green if picture.is_floating_point() else green / 255)
+    holes = 1 - float(is_valid.float().mean())
+    alone = of_metres(z) | alone_of_metres(z)
+    is_stand_in = 0 < float(alone.float().mean()) < _STAND_IN_SHARE
+    words = in_words(z, alone, "if they are unknown, set them to 0") if is_stand_in else ""
+    top = float(z[alone][0]) if is_stand_in else torch.nan
     digest = hash(points.cpu().numpy().tobytes())
     scale = _scale(points)
-    # of a file of 16 bits the largest is unknown, as 0 is
+    # in a file of 16 bits the largest number is unknown, as 0 is
     if bool(z.isnan().any() and (z == 0).any()):
         high = float(torch.where(z < checks.OPEN, z, 0.0).amax())
-        scale = _STRETCHED if any(0.9 * most < high < most for most in _MOST) else scale
+        if any(0.9 * end < high < end for end in _LARGEST_16_BITS_M):
+            scale = _STRETCHED
     return Evidence(digest, size, holes, words, top, scale, _convexity(log), fit, cells)
 
 
 def judged(evidences: Iterable[Evidence]) -> list[str]:
-    """The sentences of `doubts`, by what most of the maps show."""
-    maps = list({shown.digest: shown for shown in evidences}.values())
-    sentences = [shown.size for shown in maps if shown.size][:1]
-    holes = sorted(shown.holes for shown in maps)
-    if _most([share > 0.5 for share in holes]):
+    """Write the sentences of `doubts`, by what most of the maps show."""
+    entries = list({entry.digest: entry for entry in evidences}.values())
+    sentences = [entry.size for entry in entries if entry.size][:1]
+    holes = sorted(entry.holes for entry in entries)
+    if _is_majority([share > 0.5 for share in holes]):
         got = f"{100 * holes[len(holes) // 2]:.0f} % of the distances are unknown"
         sentences.append(f"{got}: whatever holes get (--holes) would make up most of a map")
-    for which, sentence in enumerate(_SCALES):
-        if _most([shown.scale == which for shown in maps]):
+    for scale, sentence in enumerate(_SCALES):
+        if _is_majority([entry.scale == scale for entry in entries]):
             sentences.append(f"distances {sentence}")
     # a stand-in comes again, a facade does not
-    tops = [shown.top for shown in maps if shown.top > FARTHEST_SEEN]
-    if _most([bool(shown.alone) for shown in maps]) or len(set(tops)) < len(tops):
-        sentences += [shown.alone for shown in maps if shown.alone][:1]
+    tops = [entry.top for entry in entries if entry.top > FARTHEST_SEEN]
+    if _is_majority([bool(entry.alone) for entry in entries]) or len(set(tops)) < len(tops):
+        sentences += [entry.alone for entry in entries if entry.alone][:1]
     # a logarithm says little of stretched maps, which have shifts of their own
-    reversed_ = [
-        shown.scale not in (0, _STRETCHED) and shown.convexity < REVERSED for shown in maps
+    concave = [
+        entry.scale not in (0, _STRETCHED) and entry.convexity < REVERSED for entry in entries
     ]
-    if len(maps) >= _SEVERAL and _most(reversed_):
+    if len(entries) >= _REVERSED_LEAST_MAPS and _is_majority(concave):
         claim = "distances look like disparity or inverse depth, large where near"
         cure = (
             f"{_INVERSE}; from_disparity where focal length and baseline are known; but frames of "
             "one scene are one witness (--sequence)"
         )
         sentences.append(f"{claim}: {cure}")
-    return [*dict.fromkeys(sentences), *_shifted(maps)]
+    return [*dict.fromkeys(sentences), *_shifted(entries)]
 
 
-def _most(votes: list[bool]) -> bool:
+def _is_majority(votes: list[bool]) -> bool:
     return 2 * sum(votes) > len(votes)
 
 
 def _scale(points: Tensor) -> int:
-    """Which of `_SCALES` the points of a map have, or -1."""
+    """Index into `_SCALES` for the points of a map, or -1."""
     negative = points[points < 0]
     # one negative number may stand for unknown pixels
     if negative.numel() > 0.05 * points.numel() and bool((negative != negative[0]).any()):
@@ -193,21 +194,19 @@ def _scale(points: Tensor) -> int:
     sampled = metres[:: max(1, metres.numel() // 4096)]
     if high <= 1.0001:
         # both ends, or 8 bits divided by 255; those near a lens may all be nearer than 1 m
-        relative = (low < 0.02 and high > 0.3) or _whole(255 * sampled, 8)
+        relative = (low < 0.02 and high > 0.3) or _are_whole(255 * sampled, 8)
         return 0 if relative else 3 if high < 0.05 else -1
-    return 1 if _whole(sampled, 16) else 2 if float(sampled.median()) > 100 else -1
+    return 1 if _are_whole(sampled, 16) else 2 if float(sampled.median()) > 100 else -1
 
 
-def _whole(values: Tensor, least: int) -> bool:
-    """Whether these are whole numbers, so many different ones at least."""
-    near = values.round()
-    return bool(torch.allclose(values, near, 0, 1e-3)) and len(set(near.tolist())) >= least
+def _are_whole(values: Tensor, least: int) -> bool:
+    """True for whole numbers of which at least so many differ."""
+    whole = values.round()
+    return bool(torch.allclose(values, whole, 0, 1e-3)) and len(set(whole.tolist())) >= least
 
 
 def _convexity(log: Tensor) -> float:
-    """How convex the logarithm of a map (HxW) is where it slopes, between edges: −1…1. (What is at
-    the bottom, mostly near, takes longer, and doubts maps that are upside down.)
-    """
+    """Convexity, −1…1, of the logarithm of a map (HxW) where it slopes between edges."""
     bend, weight, step = 0.0, 0.0, 3
     if min(log.shape) <= 4 * step:
         return torch.nan
@@ -221,9 +220,9 @@ def _convexity(log: Tensor) -> float:
     return bend / weight if weight > 0.002 * log.numel() else torch.nan
 
 
-def _fit(log: Tensor, grey: Tensor) -> Tensor | None:
-    """The correlation of the edges of a map and of a picture (HxW), by shifts of up to a sixth of
-    the shorter side, in median deviations from its median; None where there are too few edges.
+def _edge_fit(log: Tensor, grey: Tensor) -> Tensor | None:
+    """Correlation of the edges of a map and of a picture (HxW), by shifts of up to a sixth of the
+    shorter side, in median deviations from its median; None where there are too few edges.
     """
     edges = _edges(log).nan_to_num(0.0).clamp(max=0.1)
     edges = torch.where(edges > 0.03, edges, 0.0)
@@ -243,9 +242,9 @@ def _edges(x: Tensor) -> Tensor:
     return torch.hypot(x.diff(dim=0)[:, :-1], x.diff(dim=1)[:-1])
 
 
-def _shifted(maps: list[Evidence]) -> list[str]:
-    """Whether the edges of maps, those of the first one's size, fit better elsewhere."""
-    fits = [(shown.fit, shown.cells) for shown in maps if shown.fit is not None]
+def _shifted(entries: list[Evidence]) -> list[str]:
+    """Tell, by maps of the first one's size, if edges fit the pictures better elsewhere."""
+    fits = [(entry.fit, entry.cells) for entry in entries if entry.fit is not None]
     if not fits:
         return []
     size = fits[0][1]
@@ -255,6 +254,7 @@ def _shifted(maps: list[Evidence]) -> list[str]:
     here = float(fit[reach - 2 : reach + 3, reach - 2 : reach + 3].max())
     if max(abs(down), abs(right)) <= 2 or float(fit.max()) < max(6, here + 3):
         return []
-    way = " and ".join(f"{100 * n / size:+.0f} %" for n in (right, down))
+    shift = " and ".join(f"{100 * n / size:+.0f} %" for n in (right, down))
     cure = "crop, pad and resize both alike, and register the depth camera to the colour camera"
-    return [f"edges fit better with the map moved {way} of the shorter side right and down: {cure}"]
+    moved = f"the map moved {shift} of the shorter side right and down"
+    return [f"edges fit better with {moved}: {cure}"]

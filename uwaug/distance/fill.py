@@ -8,58 +8,56 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from uwaug._support.once import Once
-from uwaug.distance.convert import as_maps, which
+from uwaug.distance.convert import as_maps, first_bad_map
 
 # How these were chosen, and what lost: benchmarks/CHOICES.md, "Holes".
 
 _THIN_PX = 4.0
-"""From what is known, up to which the nearest value is taken; from twice as far on the membrane
-counts alone.
+"""Distance in the picture (px) within which a pixel takes the nearest value. From twice as far on
+the membrane counts alone.
 """
 
 _SWEEPS = 4
-"""Of relaxation on each level."""
+"""Sweeps of relaxation on each level of the membrane."""
 
-_OPEN_WATER = 1e-9
-"""1/m; anything farther is open water."""
+_OPEN_PER_M = 1e-9
+"""Inverse distance (1/m) below which there is open water."""
 
 _GUESSED_SHARE = 0.2
-"""Of unknown pixels, above which filling is guessing."""
+"""Share of unknown pixels above which filling is guessing."""
 
 _RIM_PX = 3
-"""Beside a hole, from which it is filled; the edges of holes are ragged."""
+"""Width (px) of the rim from which a hole is filled. The edges of holes are ragged."""
 
 _REACH_WIDTHS = 4
-"""Of a hole, over which the two sides of its rim are compared, halved: a shadow's two sides are one
-width apart.
+"""Half of the distance, in widths of a hole, over which the sides of its rim are compared. The two
+sides of a shadow are one width apart.
 """
 
 _NEARER_TIMES = 1.25
-"""A rim that is so many times nearer than what is across the hole is what throws the shadow."""
+"""Ratio of distances across a hole from which on the nearer side is what throws a shadow."""
 
 _WIDE_SHARE = 1 / 20
-"""Of the map's shorter side; a hole that is wider than twice that, in the middle, is no shadow.
+"""Depth of a hole, as a share of the map's shorter side, from which on its middle is no shadow.
 Registered maps have frames of up to 1/16.
 """
 
 _WIDE_LEAST_PX = 4
-"""The same in the smallest maps."""
+"""Least such depth (px), for the smallest maps."""
 
 _FARTHEST_QUANTILE = 0.98
-"""Of the distances of a rim, which is its farthest: beyond it are wild pixels at edges."""
+"""Quantile of a rim's distances that counts as its farthest. Beyond are wild pixels at edges."""
 
-_guessed = Once()
+_guess_warning = Once()
 
 
 def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
     """Give each unknown pixel (NaN, negative or zero) a distance from the known ones of its map.
 
-    Holes of real maps are mostly thin: occlusions beside edges, reflections, the rim that
-    rectification leaves. Within 4 pixels of what is known the nearest value keeps edges sharp and
-    invents no distance in between. Farther inside, a membrane over 1/z spans the hole smoothly: in
-    1/z a plane of the scene is a plane, whatever its slope, and open water is 0.
+    Within 4 pixels of known ones the nearest value keeps edges sharp. Farther inside, a membrane
+    over 1/z spans the hole: in 1/z a plane of the scene is a plane, and open water is 0.
 
-    Maps of depth cameras want `behind=True`: their holes are shadows that edges throw on what is
+    Maps of depth cameras want `behind=True`. Their holes are shadows that edges throw on what is
     behind, and all that lies beyond the sensor's range. A hole is then filled from the farther
     side of its rim, and the middle of a wide one gets the farthest distance of its rim. Where
     there is open water beyond the range, set it: `torch.where(distance > 0, distance, torch.inf)`.
@@ -67,20 +65,20 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
     Fill a whole map before it is cropped: a crop may hold no known pixel.
 
     Args:
-        distance: (..., H, W), metres. +inf is known: open water.
+        distance: (..., H, W), metres; +inf is open water, and known.
         behind: fill holes with what is behind.
 
     Returns:
         Shape of `distance`, every pixel above 0 and between the least and the largest known value;
-        differentiable in the known pixels (which of them is the nearest is held fixed, and so is
-        the farthest of a rim). `distance` itself if none is unknown.
+        differentiable in the known pixels, where the choice of the nearest or farthest one is held
+        fixed. `distance` itself if no pixel is unknown.
 
     Raises:
         ValueError: a map has no known pixel.
         TypeError: `distance` is no floating-point tensor.
 
     Warns:
-        UserWarning: once in a process, if more than 20 % of a map is unknown, but for `behind`.
+        UserWarning: once in a process, if more than 20 % of a map is unknown without `behind`.
 
     Examples:
         >>> fill_unknown(torch.tensor([[2.0, 2.0, 2.0, 2.0, 0.0, 0.0, 3.0, 3.0, 3.0, 3.0]]))
@@ -96,13 +94,14 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
     empty = shares == 1
     if bool(empty.any()):
         expected = "at least one known pixel (above 0 m) in each map"
+        got = f"{first_bad_map(empty)} without any"
         cure = "fill whole maps before they are cropped"
-        raise ValueError(f"distance must have {expected}, got {which(empty)} without any: {cure}")
+        raise ValueError(f"distance must have {expected}, got {got}: {cure}")
     percent = round(100 * float(shares.max()))
     if not behind and percent > 100 * _GUESSED_SHARE:
         guess = f"distance is unknown at {percent} % of a map's pixels, and is guessed there"
         cure = "maps of depth cameras want holes 'behind', open water wants 'far'"
-        _guessed.warn(f"{guess}: {cure}")
+        _guess_warning.warn(f"{guess}: {cure}")
     sources_of = _from_behind if behind else _from_nearest
     size = distance.shape[-2:]
     maps, holes = distance.reshape(-1, *size), unknown.reshape(-1, *size)
@@ -115,8 +114,8 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
 
 
 def _from_nearest(distance: Any, unknown: Any) -> tuple[Any, Any, Any]:
-    """Of each pixel (HxW) the flat index of the known one that is nearest, how far away it is, px,
-    and whether a membrane may span it.
+    """Flat index of the nearest known pixel, its distance in the picture (px), and a mask of pixels
+    that the membrane may span, each (HxW).
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -125,8 +124,8 @@ def _from_nearest(distance: Any, unknown: Any) -> tuple[Any, Any, Any]:
 
 
 def _from_behind(distance: Any, unknown: Any) -> tuple[Any, Any, Any]:
-    """As `_from_nearest`, of what is behind. The membrane is free neither on rims, of which near
-    sides have sources, too, nor in the middle of wide holes.
+    """Return the same as `_from_nearest`, with sources behind the hole. Near sides of rims have
+    sources, too; the membrane spans neither rims nor the middle of wide holes.
     """
     from scipy import ndimage
     from scipy.spatial import cKDTree
@@ -136,12 +135,12 @@ def _from_behind(distance: Any, unknown: Any) -> tuple[Any, Any, Any]:
 
     height, width = unknown.shape
     holes, count = ndimage.label(unknown, np.ones((3, 3)))
-    beside, _, _ = _from_nearest(distance, ~unknown)  # the nearest pixel of a hole
+    beside, _, _ = _from_nearest(distance, ~unknown)  # the nearest pixel in a hole
     owner = holes.flat[beside]
     rim = widened(unknown, _RIM_PX) & ~unknown
     values = np.where(rim, distance, 0)
     farthest, highest = _far_ends(values, np.where(rim, owner, 0), count)
-    # what is beyond the picture's border is no hole: frames are as wide as they look
+    # beyond the picture's border there is no hole: frames are as wide as they look
     deep = ndimage.distance_transform_cdt(np.pad(unknown, 1), "chessboard")[1:-1, 1:-1]
     wide = max(_WIDE_LEAST_PX, _WIDE_SHARE * min(height, width))
     middle = (deep >= wide) & (farthest[holes] >= 0)
@@ -150,70 +149,71 @@ def _from_behind(distance: Any, unknown: Any) -> tuple[Any, Any, Any]:
     across = np.where(unknown, widened(values, 2 * _REACH_WIDTHS), 0)
     half = 1
     while half < 2 * wide and (core := deep > half).any():
-        # all of a hole that is at least so wide, up to its rim
+        # the parts of holes that are at least so wide, up to their rims
         opened = widened(core, half) & unknown
         across = np.where(opened, widened(values, _REACH_WIDTHS * (half + 1)), across)
         half *= 2
-    # not what another hole has across
+    # what lies across another hole does not count
     across = np.minimum(across, highest[holes])
     far_side = (rim & (values * _NEARER_TIMES >= across.flat[beside])) | middle
 
     def points(pixels: Any) -> Any:
-        # of one hole nearer to each other than to any of another
-        of_hole = owner.flat[pixels] * float(height + width)
-        return np.stack([pixels // width, pixels % width, of_hole], -1)
+        # points of one hole are nearer to each other than to those of any other
+        layer = owner.flat[pixels] * float(height + width)
+        return np.stack([pixels // width, pixels % width, layer], -1)
 
-    sources, wanted = np.flatnonzero(far_side), np.flatnonzero((rim | unknown) & ~far_side)
-    steps, nearest = cKDTree(points(sources)).query(points(wanted))
+    sources, targets = np.flatnonzero(far_side), np.flatnonzero((rim | unknown) & ~far_side)
+    steps, nearest = cKDTree(points(sources)).query(points(targets))
     away = np.zeros(unknown.shape)
-    away.flat[wanted] = steps
-    index.flat[wanted] = index.flat[sources[nearest]]
+    away.flat[targets] = steps
+    index.flat[targets] = index.flat[sources[nearest]]
     return index, away, ~(rim | middle)
 
 
 def _far_ends(values: Any, rims: Any, count: int) -> tuple[Any, Any]:
-    """Of each rim's distances the flat index of the farthest but for wild ones, and the largest; -1
-    and infinite of one without pixels. `rims` (HxW): 0 beside them, else 1…count.
+    """Flat index of the farthest pixel of each rim but for wild ones, and its largest distance; -1
+    and infinity for a rim without pixels. `rims` (HxW): 1…count, and 0 beside them.
     """
     # rim by rim, the nearest first
     pixels = np.flatnonzero(rims)
     pixels = pixels[np.lexsort((values.flat[pixels], rims.flat[pixels]))]
     ends = np.cumsum(np.bincount(rims.flat[pixels], minlength=count + 1))
     starts = np.concatenate([[0], ends[:-1]])
-    there = ends > starts
+    filled = ends > starts
+    places = (starts + _FARTHEST_QUANTILE * (ends - starts - 1)).astype(int)
     farthest, highest = np.full(count + 1, -1), np.full(count + 1, np.inf)
-    farthest[there] = pixels[(starts + _FARTHEST_QUANTILE * (ends - starts - 1)).astype(int)[there]]
-    highest[there] = values.flat[pixels[ends[there] - 1]]
+    farthest[filled] = pixels[places[filled]]
+    highest[filled] = values.flat[pixels[ends[filled] - 1]]
     return farthest, highest
 
 
 def _spanned(nearest: Tensor, away: Tensor, free: Tensor) -> Tensor:
-    """Maps (NxHxW) whose holes hold the nearest value, with a membrane where that is far away.
+    """Put a membrane into maps (NxHxW), where the nearest value is far away.
 
     Args:
-        nearest (NxHxW tensor): m.
-        away (NxHxW tensor): how far the pixel is that has the value, px.
-        free (NxHxW tensor): where the membrane is; boolean.
+        nearest (NxHxW tensor): maps whose holes hold the nearest value, m.
+        away (NxHxW tensor): distance in the picture to that value, px.
+        free (NxHxW tensor): true where the membrane may be.
     """
     weight = (away / _THIN_PX - 1).clamp(0, 1).to(nearest.dtype)
     if not bool((weight > 0).any()):
         return nearest
-    # what `where` leaves out must be harmless too, or it spoils the gradient
-    inverse = torch.where(free, 0, 1 / torch.where(free, 1, nearest).clamp(min=_OPEN_WATER))
+    # values that `where` leaves out must be harmless, too, or they spoil the gradient
+    inverse = torch.where(free, 0, 1 / torch.where(free, 1, nearest).clamp(min=_OPEN_PER_M))
     smooth = _membrane(inverse[:, None], ~free[:, None])[:, 0]
-    mixed = torch.lerp(1 / nearest.clamp(min=_OPEN_WATER), smooth, weight)
-    spanned = torch.where(mixed > _OPEN_WATER, 1 / mixed.clamp(min=_OPEN_WATER), torch.inf)
+    mixed = torch.lerp(1 / nearest.clamp(min=_OPEN_PER_M), smooth, weight)
+    spanned = torch.where(mixed > _OPEN_PER_M, 1 / mixed.clamp(min=_OPEN_PER_M), torch.inf)
     return torch.where(weight > 0, spanned, nearest)
 
 
 def _membrane(values: Tensor, fixed: Tensor) -> Tensor:
-    """Solve Laplace's equation where values (Nx1xHxW) are not fixed, and 0: from coarse grids to
-    fine ones, each a few sweeps better. The picture's border is free.
+    """Solve Laplace's equation where values (Nx1xHxW) are not fixed but 0: from coarse grids to
+    fine ones. The picture's border is free.
     """
     levels = []
     while not bool(fixed.all()):
         levels.append((values, fixed))
-        # half as many rows and columns: means of what is fixed
+        # half as many rows and columns: means of fixed values
         rim = (0, values.shape[-1] % 2, 0, values.shape[-2] % 2)
         share = F.avg_pool2d(F.pad(fixed.to(values.dtype), rim), 2)
         total = F.avg_pool2d(F.pad(values, rim), 2)

@@ -1,4 +1,4 @@
-"""Distances of pictures that have no maps: made up."""
+"""Made-up distances, for pictures without maps."""
 
 import math
 from dataclasses import dataclass
@@ -18,41 +18,40 @@ from uwaug.distance.sources import Source, require_ends
 # How it was chosen, and what lost: benchmarks/CHOICES.md, "Made-up distances".
 
 _OPEN_PROBABILITY = 0.75
-"""That open water is drawn where a picture has a place for it."""
+"""Probability of open water where a picture has a place for it."""
 
 _RAMP_PROBABILITY = 0.1
-"""That a picture gets a ramp instead, so that nets learn that water hides by distance, and not
-that this network is right.
+"""Probability that a picture gets a ramp instead. Nets that train on it learn that water hides by
+distance, and not that this network is right.
 """
 
 _LEAST_OPEN_SHARE = 0.03
-"""Of a picture that is open water for sure, where there is any."""
+"""Least share of a picture that is surely open water, where there is any."""
 
 _SURE, _OPEN_FROM, _OPEN_TO = 0.7, 0.4, 0.6
-"""Probabilities of open water: for sure; and where it begins and is whole around what is sure."""
+"""Probabilities from which open water is sure, begins around a sure place, and is whole there."""
 
 _GUIDE_PX = 2
-"""Of the small copy, over which its distances follow the picture's colours."""
+"""Reach (px of the small copy) over which distances follow the picture's colours."""
 
 _EDGE_VARIANCE = 0.01
-"""Of colours, of 0…1, below which there is no edge."""
+"""Variance of colours (0…1) below which there is no edge."""
 
 
 @codec.plain
 @dataclass(frozen=True)
 class MadeUp(Source):
-    """No maps: each picture gets distances made up from itself alone, drawn anew each time.
+    """Distances made up from each picture alone, drawn anew each time: no maps are needed.
 
-    A small network of our own, which comes along, says what looks nearer than what, and where there
-    is open water, such as sky; `cue="ramp"` does without: below is near. On it come, drawn anew, an
-    exponent, a smooth field, and whether there is open water (in three of four); a tenth of the
-    pictures get the ramp. Distances step where the picture has edges. All is scaled, in the
-    logarithm, to reach from near to far. Mirrored pictures get mirrored maps.
+    A small network that comes with the package guesses what is nearer than what, and where there is
+    open water, such as sky. An exponent, a smooth field, and the presence of open water (in three
+    of four) are drawn. Distances step where the picture has edges, and reach from near to far.
+    Mirrored pictures get mirrored maps. A tenth of the pictures, or all with `cue="ramp"`, get a
+    ramp: what is lower in the picture is nearer.
 
-    The depth cue is guessed: some things that look far to you are near here, and sizes are
-    invented. It teaches a network that water hides some things more than others, which is good for
-    robustness; it is no truth to restore pictures by, or to measure. A large network is nearer to
-    the truth, see `Network`. Pictures are sRGB, as those are that the network has seen.
+    Order and sizes are guessed. That teaches a network that water hides far things more than near
+    ones. It is no truth to restore pictures or to measure by; a large network is nearer to it, see
+    `Network`. Pictures are sRGB.
 
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
@@ -75,7 +74,7 @@ class MadeUp(Source):
         checks.one_of("cue", self.cue, ("network", "ramp"))
 
     def ranges(self) -> dict[str, Range | None]:
-        """See `Noun.ranges`; all else that is random follows from "scene"."""
+        """See `Noun.ranges`. "scene" is the seed of the map."""
         return {**super().ranges(), "scene": (0.0, 1.0)}
 
     @torch.no_grad()
@@ -97,25 +96,25 @@ class MadeUp(Source):
         z = depth.clamp(max=1) if float(small.max()) > 1 else depth
         z = z.mul_(math.log(far / near)).exp_().mul_(near)
         if z is not depth:
-            # open water from 1.05, endless from 1.95: regression meets neither end exactly
+            # open water begins at 1.05 and is endless from 1.95: regression meets neither end
             z.div_(depth.neg_().add_(1.95).div_(0.9).clamp_(0, 1))
         return z[None].to(torch.promote_types(image.dtype, torch.float32))
 
 
 def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
-    """How far each place (HxW) is: 0 nearest, 1 farthest, 2 open water.
+    """Draw relative distances (HxW), alike to the left and the right: 0 near, 1 far, 2 open water.
 
     Args:
         log (HxW): logarithms of distances, up to scale and shift.
         is_open (HxW): probabilities of open water.
-        rng: what is random. All of it is alike to the left and the right.
+        rng: source of the random numbers.
     """
     height, width = log.shape
-    opened = np.clip((is_open - _OPEN_FROM) / (_OPEN_TO - _OPEN_FROM), 0, 1)
+    openness = np.clip((is_open - _OPEN_FROM) / (_OPEN_TO - _OPEN_FROM), 0, 1)
     closed = rng.uniform() > _OPEN_PROBABILITY or (is_open > _SURE).mean() < _LEAST_OPEN_SHARE
-    if closed or opened.min() > 0:  # of a blue wall, say
-        opened = np.zeros_like(log)
-    solid = log[opened < 0.5]
+    if closed or openness.min() > 0:  # such as a blue wall
+        openness = np.zeros_like(log)
+    solid = log[openness < 0.5]
     low, high = np.percentile(solid, (1, 99))
     depth = np.clip((log - low) / (high - low), 0, 1) if high > low else np.full_like(log, 0.5)
     depth **= np.exp(rng.normal(0, 0.3))
@@ -123,12 +122,12 @@ def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
     for down, across, phase in zip(*rng.normal(0, 3, (3, 4)), strict=True):
         depth = depth + rng.uniform(0, 0.06) * np.cos(down * y + phase) * np.cos(across * x)
     depth = np.clip(depth, 0, 1)
-    return depth + (2 - depth) * opened
+    return depth + (2 - depth) * openness
 
 
 def _upsampled(values: Tensor, small: Tensor, picture: Tensor, white: float) -> Tensor:
-    """A small map (hxw) at the size of a picture (3xHxW), with steps where the picture has them: in
-    each window it is linear in the colours of the small copy (3xhxw). He and Sun, arXiv:1505.00996.
+    """Enlarge a small map (hxw) to a picture (3xHxW), with steps at the picture's edges. In each
+    window it is linear in the colours of the small copy (3xhxw). He and Sun, arXiv:1505.00996.
     """
 
     def mean(x: Tensor) -> Tensor:

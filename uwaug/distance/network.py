@@ -1,4 +1,4 @@
-"""Depth networks."""
+"""Distances from a monocular depth network."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -26,28 +26,26 @@ _TYPES = {
 @codec.plain
 @dataclass(frozen=True)
 class Network(Source):
-    """A monocular depth network: for pictures without maps, or to call by oneself.
+    """Monocular depth network, for pictures without maps, or to call.
 
-    Its errors become wrong colours, and it takes its own time for every picture: where pictures
-    come again, keep its maps in files.
+    Its errors become wrong colours, and it runs for every picture. Where pictures come again, keep
+    its maps in files.
 
-    A file must take one picture, (1, 3, h, w) or (1, h, w, 3), and give (1, h', w'), (1, 1, h', w')
-    or (1, h', w', 1) first, as exports of MiDaS, DPT and Depth Anything do. A fixed h and w is used
-    as it is, otherwise the image's short side becomes `short_side`. A file of bytes gets them as
-    they are, without mean and std. ONNX Runtime opens it at the first call and with as many threads
-    as torch has there; a session is not pickled, so that DataLoader workers each make their own.
+    An ONNX file must take one picture, (1, 3, h, w) or (1, h, w, 3), and give (1, h', w'),
+    (1, 1, h', w') or (1, h', w', 1) first, as exports of MiDaS, DPT and Depth Anything do. It may
+    fix h and w. It opens at the first call, with as many threads as torch has there; each
+    DataLoader worker opens its own.
 
     Attributes:
         model: path of an ONNX file, or a function of a picture (3xHxW, sRGB in 0…1) that gives a
             map (1xHxW).
-        holds: what its maps hold: `Inverse`, `Relative` or `Metres`.
-        short_side: of the file's input, px, where the file leaves it free.
-        multiple: what the input's sides are rounded to: the patch size, 14 for Depth Anything, 32
-            for MiDaS.
-        mean, std: of each channel: mean is taken from the image in 0…1 before the file sees it, and
-            the difference divided by std. By default ImageNet's.
-        bgr: whether the file wants blue first; also where its metadata say so
-            (`Image.BitmapPixelFormat`).
+        holds: meaning of its maps: `Inverse`, `Relative` or `Metres`.
+        short_side: short side of the input, px, where the file leaves it free.
+        multiple: the sides of the input are multiples of it: the patch size, 14 for Depth Anything,
+            32 for MiDaS.
+        mean, std: the file gets (image − mean)/std of each channel, image in 0…1; ImageNet's by
+            default. A file of bytes gets them as they are.
+        bgr: blue comes first; also where the file's metadata say so (`Image.BitmapPixelFormat`).
         providers: ONNX Runtime's execution providers.
 
     Raises:
@@ -98,14 +96,14 @@ class Network(Source):
 
     @torch.no_grad()
     def __call__(self, image: Tensor) -> Tensor:
-        """What the network says of pictures, without gradients.
+        """Run the network on pictures, without gradients.
 
         Args:
             image: (B, 3, H, W) or (3, H, W), sRGB in [0, 1].
 
         Returns:
-            (B, 1, H, W) or (1, H, W). The files named above give inverse depth: near = large, of
-            any scale and shift, for `from_inverse`. Device of `image`.
+            (B, 1, H, W) or (1, H, W), on the device of `image`. The networks named above give
+            inverse depth: near = large, of any scale and shift, for `from_inverse`.
 
         Raises:
             ImportError: onnxruntime is not installed.
@@ -127,30 +125,31 @@ class Network(Source):
     def _predict(self, image: Tensor) -> Tensor:
         session = cast(Session, self._session)
         entry = session.opened.get_inputs()[0]
-        # channels that are free are taken for colours, unless colours come last
+        # free channels are taken for colours, unless colours come last
         shape = entry.shape if len(entry.shape) == 4 else [0] * 4
-        last = shape[3] == 3 and shape[1] != 3
-        if not (last or shape[1] == 3 or not isinstance(shape[1], int)) or entry.type not in _TYPES:
+        colours_last = shape[3] == 3 and shape[1] != 3
+        colours_first = shape[1] == 3 or not isinstance(shape[1], int)
+        if not (colours_last or colours_first) or entry.type not in _TYPES:
             expected = "(1, 3, h, w) or (1, h, w, 3) of floating point or bytes"
             raise ValueError(f"{self.model} must take {expected}, got {entry.shape}, {entry.type}")
         scale = self.short_side / min(image.shape[-2:])
         size = []
-        sides = shape[1:3] if last else shape[2:]
+        sides = shape[1:3] if colours_last else shape[2:]
         for fixed, side in zip(sides, image.shape[-2:], strict=True):
             free = max(1, round(side * scale / self.multiple)) * self.multiple
             size.append(fixed if isinstance(fixed, int) else free)
         x = interpolate(
             image.float().cpu(), size, mode="bicubic", align_corners=False, antialias=True
         ).clamp(0, 1)
-        described = session.opened.get_modelmeta().custom_metadata_map
-        if self.bgr or described.get("Image.BitmapPixelFormat", "").startswith("Bgr"):
+        metadata = session.opened.get_modelmeta().custom_metadata_map
+        if self.bgr or metadata.get("Image.BitmapPixelFormat", "").startswith("Bgr"):
             x = x.flip(1)
         if entry.type == "tensor(uint8)":
             x = x * 255 + 0.5
         else:
             x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
         x = x.to(_TYPES[entry.type])
-        depth = session({entry.name: x.permute(0, 2, 3, 1) if last else x}).float()
+        depth = session({entry.name: x.permute(0, 2, 3, 1) if colours_last else x}).float()
         if depth.ndim == 4 and depth.shape[3] == 1:
             depth = depth[..., 0]
         if depth.ndim not in (3, 4) or depth.shape[:-2].numel() != 1:

@@ -1,4 +1,4 @@
-"""Maps of another size than their pictures: telephones and networks give small ones."""
+"""Maps of another size than their pictures, such as those of telephones and networks."""
 
 from collections.abc import Sequence
 
@@ -8,21 +8,21 @@ from torch.nn.functional import interpolate, max_pool2d, pad
 
 from uwaug._support.once import Once
 
-_STEP = 1.25
-"""Times as far as what is beside it, a distance is that of something else; see "Sizes" in
+_STEP_TIMES = 1.25
+"""Ratio of neighbouring distances from which on there is an edge between them; see "Sizes" in
 benchmarks/CHOICES.md.
 """
 
-_ASPECT = 0.01
-"""By which two aspects may differ, where sizes were rounded to whole pixels or blocks."""
+_ASPECT_TOLERANCE = 0.01
+"""Relative difference of aspects that may pass, as sizes are rounded to whole pixels or blocks."""
 
-_small = Once()
+_size_warning = Once()
 
 
 def same_aspect(size: Sequence[int], other: Sequence[int]) -> bool:
-    """Whether two sizes (height, width) differ in scale alone, but for what is rounded."""
+    """True if two sizes (height, width) differ in scale alone, up to rounding."""
     (height, width), (h, w) = size, other
-    return abs(h * width - w * height) <= max(_ASPECT * h * width, min(h, w) - 1)
+    return abs(h * width - w * height) <= max(_ASPECT_TOLERANCE * h * width, min(h, w) - 1)
 
 
 def require_aspect(name: str, distance: Tensor, image: Tensor) -> None:
@@ -34,7 +34,7 @@ def require_aspect(name: str, distance: Tensor, image: Tensor) -> None:
 
 
 def size_in_words(size: Sequence[int], other: Sequence[int]) -> str:
-    """What becomes of a map of one (height, width) and a picture of another."""
+    """Tell what becomes of a map of another (height, width) than its picture."""
     (h, w), (height, width) = size, other
     cure = "of another aspect: is one of them turned or cropped?"
     if same_aspect(size, other):
@@ -43,21 +43,21 @@ def size_in_words(size: Sequence[int], other: Sequence[int]) -> str:
 
 
 def brought_to(size: Sequence[int], z: Tensor) -> Tensor:
-    """Distances (1xhxw, m) at another (height, width): linear between four that are near to each
-    other, else those of the nearest pixel: across steps, and beside holes and open water.
+    """Bring distances (1xhxw, m) to another (height, width). Between four like distances they are
+    linear; across edges, and beside holes and open water, they are those of the nearest pixel.
 
     Warns:
         UserWarning: once in a process, with both sizes.
     """
     if z.shape[-2:] == tuple(size):
         return z
-    _small.warn(size_in_words(z.shape[-2:], size), stacklevel=5)
+    _size_warning.warn(size_in_words(z.shape[-2:], size), stacklevel=5)
     nearest = interpolate(z[None], list(size), mode="nearest-exact")[0]
     linear = interpolate(z[None], list(size), mode="bilinear")[0]
-    # the four of each place between pixels
+    # the four pixels around each corner
     beside = pad(z[None], (1, 1, 1, 1), mode="replicate")
     farthest, nearer = max_pool2d(beside, 2, 1), -max_pool2d(-beside, 2, 1)
-    smooth = ((farthest <= _STEP * nearer) & (farthest < torch.inf))[0]
+    smooth = ((farthest <= _STEP_TIMES * nearer) & (farthest < torch.inf))[0]
     for dim, (old, new) in enumerate(zip(z.shape[-2:], size, strict=True), 1):
         places = (torch.arange(new, device=z.device) + 0.5) * (old / new) + 0.5
         smooth = smooth.index_select(dim, places.long())

@@ -1,5 +1,5 @@
-"""What `RandomUnderwater(distance=…)` takes: what maps hold, or where distances come from where
-there are no maps. After it there are metres at every pixel, or an error.
+"""Sources of distances, for `RandomUnderwater(distance=…)`: the meaning of maps, or what replaces
+them. They give metres at every pixel, or an error.
 """
 
 import math
@@ -26,50 +26,50 @@ from uwaug.distance.unknown import (
 
 _Policy = Literal["error", "fill", "behind", "far"]
 Holes = _Policy | float
-"""What pixels without a distance get. "error": an error. "fill": a distance from the known ones
-around, "behind": from those behind, for maps of depth cameras with their shadows and their range
-(see `fill_unknown`). "far": open water. A number: as many metres.
+"""Treatment of pixels without a distance. "error": an error. "fill": a distance from the known ones
+around. "behind": a distance from those behind, for the shadows and the range of depth cameras (see
+`fill_unknown`). "far": open water. A number: as many metres.
 """
 
-_alone = Once()
+_stand_in_warning = Once()
 
-_TOUCHING = 1e-6
-"""m, for relative distance 0 with near = 0: a distance of 0 means unknown."""
+_LEAST_NEAR_M = 1e-6
+"""Metres that relative distance 0 gets with near = 0: a distance of 0 means unknown."""
 
-_WIDEST = 8.0
-"""Diagonal of a picture over its focal length: of 152°, wider than any view without fisheye."""
+_WIDEST_DIAGONAL = 8.0
+"""Largest diagonal of a picture in focal lengths: 152°, wider than any view without fisheye."""
 
 
 class Source(Noun):
-    """Where the distances of a picture come from. A subclass is a frozen dataclass.
+    """Source of a picture's distances. A subclass is a frozen dataclass.
 
     Attributes:
-        reads_maps: whether each picture brings a map.
-        reads_pictures: whether distances follow from what a picture shows, which then comes as
-            sRGB; else only its size and type count.
+        reads_maps: each picture brings a map.
+        reads_pictures: distances follow from the picture's values, which then come as sRGB; else
+            only its size and type count.
     """
 
     reads_maps: ClassVar[bool] = True
     reads_pictures: ClassVar[bool] = False
 
     def reach(self) -> tuple[float, float] | None:
-        """The nearest and the farthest distance of all pictures, m; None where maps say it."""
+        """Nearest and farthest distance (m) of all pictures; None where they follow from maps."""
         if not {"near", "far"} <= self._ends.keys():
             return None
         return self._ends["near"][0], self._ends["far"][1]
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
-        """The distances of a picture (1xHxW): metres above 0, or +inf for open water.
+        """Compute the distances of a picture: metres above 0, or +inf for open water.
 
         Args:
-            distance (1xhxw tensor): the picture's map, where there are any. It has the picture's
-                aspect; of a smaller one the distances are brought to the picture's size.
+            distance (1xhxw tensor): the picture's map, if the source reads maps; of the picture's
+                aspect. The result has its size.
             image (3xHxW tensor): the picture; uint8, or floating point in 0…1. sRGB where
                 `reads_pictures`.
-            drawn: what the picture has drawn, by name.
+            drawn: numbers that the picture has drawn, by name.
 
         Raises:
-            ValueError: if the map holds something else, or holes that `holes` says nothing of.
+            ValueError: if the map holds something else, or has holes without a treatment.
         """
         raise NotImplementedError
 
@@ -80,11 +80,12 @@ class Metres(Source):
     """Maps of metres along the ray, or of planar depth.
 
     Attributes:
-        holes: what NaN, 0 and negative distances get, see `Holes`; and the largest one, if it lies
-            beyond 50 m and alone, and looks like a stand-in: the end of a type, such as 65.535, or
-            one or two digits, such as 1000. With "error" a stand-in from 100 m on is open water, as
-            are 1e7 m and more; a nearer one stays, with a warning. Geometric transforms pad with 0.
-        focal_px: focal length, px of the picture, or (fx, fy), of maps that hold depth along the
+        holes: treatment of NaN, 0 and negative distances, see `Holes`. Stand-ins get it, too: a
+            largest distance beyond 50 m, far from all others, that is the end of a type, such as
+            65.535, or has one or two digits, such as 1000. With "error" a stand-in from 100 m on is
+            open water, as is 1e7 m and more; a nearer one stays, with a warning. Geometric
+            transforms pad with 0.
+        focal_px: focal length in px of the picture, or (fx, fy), of maps that hold depth along the
             optical axis, as depth cameras and renderers write it, see `along_ray`; None for metres
             along the ray. The axis goes through the middle: maps are whole views, not crops.
     """
@@ -95,7 +96,7 @@ class Metres(Source):
     def __post_init__(self) -> None:
         _require_holes(self.holes)
         if self.focal_px is not None:
-            along_ray(torch.ones(1, 1), self.focal_px)  # refuses what is none
+            along_ray(torch.ones(1, 1), self.focal_px)  # refuses what is no focal length
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """See `Source.metres`."""
@@ -108,14 +109,14 @@ class Metres(Source):
             if self.holes != "error":
                 z = torch.where(stand_in, torch.nan, z)
             elif bool((stand_in & (z < NO_RANGE)).any()):
-                _alone.warn(f"distance: {in_words(z, stand_in)}")
+                _stand_in_warning.warn(f"distance: {in_words(z, stand_in)}")
             else:
                 z = torch.where(stand_in, torch.inf, z)
             z = torch.where(range_end(z), torch.inf, z)
         if self.focal_px is not None:
             (h, w), (height, width), focal = z.shape[-2:], image.shape[-2:], self.focal_px
             fx, fy = focal if isinstance(focal, tuple) else (focal, focal)
-            if math.hypot(width / fx, height / fy) > _WIDEST:
+            if math.hypot(width / fx, height / fy) > _WIDEST_DIAGONAL:
                 cure = f"a lens of f mm before a sensor w mm wide has f/w·{width} px"
                 raise ValueError(f"focal_px must be in px of the picture, got {focal}: {cure}")
             z = along_ray(z, (fx * w / width, fy * h / height))
@@ -131,8 +132,8 @@ class Relative(Source):
     Attributes:
         near, far: m; numbers or (low, high).
         gamma: exponent; a number or (low, high).
-        holes: what NaN gets, see `Holes`, and numbers that stand for no distance, such as −1;
-            "error" only warns of 0, which may be near. Let geometric transforms pad with NaN.
+        holes: treatment of NaN and of stand-ins such as −1, see `Holes`; "error" only warns of 0,
+            which may be near. Let geometric transforms pad with NaN.
     """
 
     near: Range = number(1.0, 0.0)
@@ -148,9 +149,8 @@ class Relative(Source):
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
-        near = max(drawn["near"], _TOUCHING)
-        t = as_maps("distance", distance)
-        t = _asked(t, of_shares(t), self.holes)
+        near = max(drawn["near"], _LEAST_NEAR_M)
+        t = _without_stand_ins(as_maps("distance", distance), self.holes)
         z = from_relative(t, near, drawn["far"], drawn["gamma"])
         return _without_holes(z, self.holes)
 
@@ -164,9 +164,8 @@ class Inverse(Source):
 
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
-        holes: what NaN and infinite values get, see `Holes`, and numbers that stand for no
-            distance, such as 0 where a matcher has found nothing; "error" only warns of 0, which
-            may be the sky.
+        holes: treatment of NaN, infinite values, and stand-ins such as 0 where a matcher has found
+            nothing, see `Holes`; "error" only warns of 0, which may be the sky.
     """
 
     near: Range = number(1.0, 0.0)
@@ -181,18 +180,17 @@ class Inverse(Source):
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
-        inverse = as_maps("distance", distance)
-        inverse = _asked(inverse, of_shares(inverse), self.holes)
+        inverse = _without_stand_ins(as_maps("distance", distance), self.holes)
         return _without_holes(from_inverse(inverse, drawn["near"], drawn["far"]), self.holes)
 
 
 @codec.plain
 @dataclass(frozen=True)
 class Plane(Source):
-    """No maps: each picture is a plane that faces the camera, with one veil, cast and blur.
+    """Plane that faces the camera, in place of maps: one veil, cast and blur for each picture.
 
-    That suits a flat scene. Elsewhere the depth cue is lost (what is far should fade first), and a
-    network may learn only the tint.
+    That suits a flat scene. Elsewhere far things do not fade first, and a network may learn only
+    the tint.
 
     Attributes:
         distance: m; a number or (low, high).
@@ -231,10 +229,11 @@ def require_ends(near: Range, far: Range) -> float:
     return least
 
 
-def _asked(x: Tensor, alone: Tensor, holes: Holes) -> Tensor:
-    """A map with NaN in place of numbers that are alone, if anything is said of holes; else it is
-    refused, or as it is, with a warning, where they are 0, which may be the sky.
+def _without_stand_ins(x: Tensor, holes: Holes) -> Tensor:
+    """Put NaN in place of stand-ins in a map of relative or inverse depth. With "error", refuse
+    them; but 0, which may be near or the sky, stays with a warning.
     """
+    alone = of_shares(x)
     if not bool(alone.any()):
         return x
     if holes != "error":
@@ -242,19 +241,19 @@ def _asked(x: Tensor, alone: Tensor, holes: Holes) -> Tensor:
     sentence = f"distance: {in_words(x, alone)}"
     if bool((x[alone] != 0).any()):
         raise ValueError(sentence)
-    _alone.warn(sentence)
+    _stand_in_warning.warn(sentence)
     return x
 
 
 def _without_holes(z: Tensor, holes: Holes) -> Tensor:
-    """A map in metres with something at every pixel."""
+    """Treat the holes of a map in metres."""
     if not isinstance(holes, str):
         return torch.where(z > 0, z, holes)
     if holes == "far":
         return torch.where(z > 0, z, torch.inf)
     if holes != "error":
         return fill_unknown(z, behind=holes == "behind")
-    # NaN if any is; a mask of all pixels takes several times as long
+    # the least is NaN if any is; a mask of all pixels takes several times as long
     if z.numel() and not z.detach().amin() > 0:
         counts = checks.counted(z, "NaN", "negative", "zero")
         cure = (

@@ -1,81 +1,79 @@
-"""Numbers in maps that are no distance: they stand for unknown pixels, or for the sky.
+"""Stand-ins: numbers in maps that mean unknown, or sky.
 
 Several pixels hold exactly such a number, and it is alone: a gap away from all others. So is many a
-true distance: that of a facade that faces the camera, or of the last row of ground before the
-horizon. A number of metres is a stand-in only if it looks like one, too, as 65.535 or 1000 do. In
-metres 0, negative and NaN are unknown anyway, and from `checks.OPEN` on all is open water.
+true distance, such as that of a facade that faces the camera. A number of metres is a stand-in only
+if it also looks like one, as 65.535 or 1000 do. In metres, 0, negative numbers and NaN are unknown
+anyway, and from `checks.OPEN` on all is open water.
 """
 
 import torch
 from torch import Tensor
 
 FARTHEST_SEEN = 50.0
-"""m: beyond, the largest value of a map is asked whether it is a distance."""
+"""Distance (m) beyond which the largest one of a map may be a stand-in."""
 
-_SEVERAL_PX = 8
-"""Pixels that hold such a number, at least; wild ones differ."""
+_LEAST_PIXELS = 8
+"""Least number of pixels that hold a stand-in. Wild pixels differ from each other."""
 
-_FEWEST = 3
-"""Different values that a map must have besides."""
+_LEAST_VALUES = 3
+"""Least number of different values that a map has besides."""
 
-_GAP, _WIDE_GAP = 0.2, 0.8
-"""Of the range of a map, between such a number and all others; the wide one where it may also be
-what is nearest in a scene.
+_GAP_SHARE, _WIDE_GAP_SHARE = 0.2, 0.8
+"""Gap between a stand-in and all other values, as a share of the map's range. The wide one holds
+where a stand-in may also be the nearest thing of a scene.
 """
 
-_ZERO_GAP = 0.02
-"""The same above 0. A network's maps are stretched to 0 without a gap."""
+_ZERO_GAP_SHARE = 0.02
+"""The same gap above 0. A network's maps are stretched to 0 without a gap."""
 
-_ENDS = tuple(end * unit for end in (32767, 65504, 65535) for unit in (1.0, 0.1, 0.01, 0.001))
-"""m: the largest numbers that types of 16 bits hold, in usual units; of these no gap is asked."""
+_TYPE_ENDS_M = tuple(
+    end * unit for end in (32767, 65504, 65535) for unit in (1.0, 0.1, 0.01, 0.001)
+)
+"""Largest numbers of 16 bits, in usual units (m). They need no gap."""
 
 NO_RANGE = 100.0
-"""m: from here on a stand-in is the sky of a renderer, nearer it may be what a depth camera did not
-see.
+"""Distance (m) from which on a stand-in is the sky of a renderer. A nearer one may also be a pixel
+that a depth camera did not see.
 """
 
 _END_SHARE, _END_TIMES = 0.01, 20.0
-"""Of the pixels, that hold the largest distance, and times the median of all others, from which on
-that is where a renderer ends. Of contrast no more than .12 would be left there, by default.
+"""Share of the pixels at the largest distance, and its ratio to the median of all others, from
+which on a renderer ends there. By default at most .12 of the contrast would be left so far away.
 """
 
 
 def of_metres(z: Tensor) -> Tensor:
-    """Which pixels of a map (1xHxW) hold a stand-in for a distance."""
+    """True where a map (1xHxW, m) holds a stand-in."""
     top = float(torch.where(z.isfinite(), z.detach(), 0.0).amax())
-    if top <= FARTHEST_SEEN or not (is_end := _is_end(top)) | _is_round(top):
+    is_end = any(abs(top - end) < 1e-5 * end for end in _TYPE_ENDS_M)
+    if top <= FARTHEST_SEEN or not (is_end or _is_round(top)):
         return torch.zeros_like(z, dtype=torch.bool)
-    return alone_of_metres(z, 0.0 if is_end else _GAP)
+    return alone_of_metres(z, 0.0 if is_end else _GAP_SHARE)
 
 
-def alone_of_metres(z: Tensor, gap: float = _GAP) -> Tensor:
-    """Which pixels of a map (1xHxW) hold the largest distance, if that is alone."""
+def alone_of_metres(z: Tensor, gap: float = _GAP_SHARE) -> Tensor:
+    """True where a map (1xHxW, m) holds the largest distance, if that is alone."""
     return _alone(torch.where(z > 0, z, torch.nan), gap)
 
 
-def _is_end(metres: float) -> bool:
-    """Whether this is the largest number of a type."""
-    return any(abs(metres - end) < 1e-5 * end for end in _ENDS)
-
-
 def _is_round(metres: float) -> bool:
-    """Whether this is a number of one or two digits, or of nines."""
+    """True for a number of one or two digits, or of nines."""
     digits = f"{metres:.6g}".replace(".", "").strip("0")
     return len(digits) <= 2 or set(digits) == {"9"}
 
 
 def of_shares(x: Tensor) -> Tensor:
-    """The same of a map of relative or inverse depth, or of disparities: booleans."""
-    alone, x = _alone(x, _WIDE_GAP), x.detach()
+    """True where a map of relative depth, inverse depth or disparity holds a stand-in."""
+    alone, x = _alone(x, _WIDE_GAP_SHARE), x.detach()
     if bool((x <= 0).any()):
-        alone |= _alone(-x.clamp(min=0), _ZERO_GAP) & (x <= 0)  # −1 and 0, and whatever else
-        alone |= _alone(-x, _GAP) & (x < 0)
+        alone |= _alone(-x.clamp(min=0), _ZERO_GAP_SHARE) & (x <= 0)  # both −1 and 0
+        alone |= _alone(-x, _GAP_SHARE) & (x < 0)
     return alone
 
 
 def range_end(z: Tensor) -> Tensor:
-    """Which pixels of a map (1xHxW, m) lie at the largest distance if that is where a renderer
-    ends, which others may come near: booleans.
+    """True where a map (1xHxW, m) holds the largest distance, if a renderer ends there. Others may
+    come near it.
     """
     z = torch.where((z > 0) & z.isfinite(), z.detach(), 0.0)
     top = z.amax()
@@ -88,24 +86,24 @@ def range_end(z: Tensor) -> Tensor:
 
 
 def in_words(x: Tensor, alone: Tensor, cure: str = "") -> str:
-    """What to ask of numbers that are alone, with the cure."""
+    """Ask what the numbers that are alone mean, with the cure."""
     got = f"{100 * float(alone.float().mean()):.2g} % of a map are {float(x[alone][0]):g}"
     cure = cure or "unknown? --holes behind (holes='behind'); sky? --holes far"
     return f"{got}, a gap away from all other values: {cure}"
 
 
 def _alone(x: Tensor, gap: float) -> Tensor:
-    """Which pixels hold the largest value of a map, if that is alone by so much of its range."""
+    """True where a map holds its largest value, if that is alone by a share of its range."""
     values, top = x.detach(), x.detach().amax()
     if not top.isfinite():
         values = torch.where(values.isfinite(), values, -torch.inf)
         top = values.amax()
     is_top = values == top
     none = torch.zeros_like(is_top)
-    if int(is_top.sum()) < _SEVERAL_PX:
+    if int(is_top.sum()) < _LEAST_PIXELS:
         return none
     others = values[(values < top) & values.isfinite()]
-    if len(set(others[:: max(1, others.numel() // 4096)].tolist())) < _FEWEST:
+    if len(set(others[:: max(1, others.numel() // 4096)].tolist())) < _LEAST_VALUES:
         return none
     low, high = others.aminmax()
     return is_top if bool(top - high > gap * (top - low)) else none

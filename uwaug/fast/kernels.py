@@ -19,6 +19,7 @@ import numpy as np
 
 from uwaug.fast.gate import inner, kernel
 from uwaug.fast.tables import (
+    ENTRY_BITS,
     Bytes,
     CoarseTable,
     DevelopmentTable,
@@ -185,6 +186,7 @@ GAMUT_FROM, BEYOND, DARK, TOE = f32(0.75), f32(4), f32(1e-8), f32(1e-4)
 """Of the development's curves."""
 
 _2, _255 = f32(2), f32(255)
+_WITHIN, _ENTRY = i32((1 << ENTRY_BITS) - 1), f32(1 / (1 << ENTRY_BITS))
 
 
 @inner
@@ -658,11 +660,12 @@ def add_enlarged(d: Any, share: Any, grid: Any, n: int, left: int, right: int, w
 @inner
 def find_entries(t: Any, z: int, share: int, below: Any, table: Any, n: int) -> None:
     """Which entry of a table lies below each distance in row `z`, and how far beyond it that is."""
-    far, s, last = tile_row(t, z), tile_row(t, share), f32(table.rows.shape[1] - 2)
+    far, s, first = tile_row(t, z), tile_row(t, share), i32(table.first)
+    last = i32(first + ((table.rows.shape[1] - 1) << ENTRY_BITS) - 1)
     for x in range(n):
-        place = (log2(max(far[x], _LEAST_M)) - table.first) * table.steps
-        entry = i32(min(max(place, _0), last))
-        below[x], s[x] = entry, min(max(place - f32(entry), _0), _1)
+        bits = min(max(f32(far[x]).view(i32), first), last)
+        below[x] = i32(i32(bits - first) >> ENTRY_BITS)
+        s[x] = f32(i32(bits & _WITHIN)) * _ENTRY
 
 
 @inner

@@ -77,16 +77,15 @@ class PlanTable(NamedTuple):
 
 
 class DistanceTable(NamedTuple):
-    """What PyTorch makes of distances, at E of them, evenly spaced in their logarithm; between them
-    it is linear in that.
+    """Numbers that PyTorch makes of distances, tabulated at 128 distances in each octave, between
+    which they are linear.
 
     Attributes:
-        first, steps: log2 of the first distance, m; entries an octave.
-        rows (NxE, or Nx0): of N numbers.
+        first: bits of the first distance, m, in single precision.
+        rows (NxE, or Nx0): N numbers at E distances.
     """
 
-    first: np.float32
-    steps: np.float32
+    first: np.int32
     rows: Floats
 
 
@@ -277,13 +276,11 @@ def _mirrored(margin: int, size: int) -> Indices:
 
 # ------------------------------------------------------------------------------ media
 
-_ENTRIES = 1024
-"""Of a table over distance: with linear interpolation, pictures are right within 1.2e-6 over twenty
-octaves. (All curves and the weights of the blurs so: 4.7 ms instead of 1.6 for that stage at 512²;
-benchmarks/CHOICES.md, loops.)
+ENTRY_BITS = 16
+"""Bits of a distance in single precision that lie between two entries of a table: the rest of them
+tell which entry it is. With 128 entries in an octave pictures are right within 1e-6. (Tables evenly
+spaced in the logarithm, and all that a pixel needs by tables: benchmarks/CHOICES.md, loops.)
 """
-
-_EVENLY = np.linspace(0, 1, _ENTRIES)
 
 _NEAREST = 1e-6
 """m, and of the farthest distance: stands for the distance 0, which has no logarithm."""
@@ -303,7 +300,7 @@ def places_table(
     one size; of no entries where it does not vary.
     """
     if len(plan.sigmas) == 1:
-        return DistanceTable(_0, _0, _NONE[2].reshape(1, 0))
+        return DistanceTable(np.int32(0), _NONE[2].reshape(1, 0))
     slope, offset = place_line(plan)
 
     def places(z: Array) -> Array:
@@ -319,7 +316,7 @@ def terms_table(medium: Medium, z: Floats) -> DistanceTable:
     there are none.
     """
     if not medium.further_terms(medium.b_mean.reshape(1, 1, 1, 1)):
-        return DistanceTable(_0, _0, _NONE[2].reshape(3, 0))
+        return DistanceTable(np.int32(0), _NONE[2].reshape(3, 0))
 
     def light(z: Array) -> Array:
         at, total = torch.from_numpy(z)[None, None, None], np.zeros((3, len(z)))
@@ -332,11 +329,11 @@ def terms_table(medium: Medium, z: Floats) -> DistanceTable:
 
 def _tabulated(function: Callable[[Array], Array], ends: tuple[float, float]) -> DistanceTable:
     """A table of a function of distances (N) that gives some numbers of each."""
-    near, far = max(ends[0], _NEAREST * ends[1], _NEAREST), ends[1]
-    first, last = math.log2(near), math.log2(max(far, 2 * near))
-    rows = function(np.exp2(first + (last - first) * _EVENLY))
-    steps = (_ENTRIES - 1) / (last - first)
-    return DistanceTable(np.float32(first), np.float32(steps), rows.astype(np.float32))
+    near, far = max(ends[0], _NEAREST * ends[1], _NEAREST), max(ends[1], _NEAREST)
+    first, last = np.array([near, far], np.float32).view(np.int32) >> ENTRY_BITS
+    entries = np.arange(first, last + 2, dtype=np.int32) << ENTRY_BITS
+    rows = np.atleast_2d(function(entries.view(np.float32).astype(np.float64)))
+    return DistanceTable(entries[0], rows.astype(np.float32))
 
 
 def lamps_table(light: Light | None, lamplit: Weights, size: Size, n: int) -> LampsTable:

@@ -1,1 +1,1 @@
-"""Sheets of pictures: the demo, scenes of one's own, published systems side by side."""
+"""Sheets of pictures: the demo, the user's scenes, published systems side by side."""

@@ -1,4 +1,4 @@
-"""What the model does to a scene, the demo's or one's own. Each function draws a sheet."""
+"""Sheets that show the model on a scene, the demo's or the user's: a function each."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -38,26 +38,27 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _DEPTH_M = 5.0
-"""m below the surface: of scenes in waters, as a camera takes them."""
+"""Depth (m) below the surface of scenes in waters."""
 
 _SETTING = (
     f"Scene {_DEPTH_M:g} m deep, surfaces with spectra, a camera with its colour matrix and an "
     "automatic exposure"
 )
-"""In words, what `_in_waters` has."""
+"""Caption for pictures of `_in_waters`."""
 
-_COAST = "1C"
+_COASTAL_TYPE = "1C"
 
-_HALF_LIGHT = {"gaussian": math.sqrt(2 * math.log(2)), "exponential": math.sqrt(3)}
-"""Radius that holds half of the light, in σ."""
+_HALF_LIGHT_RADIUS = {"gaussian": math.sqrt(2 * math.log(2)), "exponential": math.sqrt(3)}
+"""Radius of half of the light, in σ."""
 
 
 class Case(NamedTuple):
-    """What the terms are drawn in.
+    """Medium and camera in which the terms are drawn.
 
     Attributes:
-        name, setting: of the water, and how the scene lies in it, for heading and caption.
-        module: a medium, and the camera that looks through it.
+        name: of the water, for the heading.
+        setting: place of the scene in it, for the caption.
+        module: medium and camera.
         field_range: least and largest value of the medium field.
     """
 
@@ -68,13 +69,13 @@ class Case(NamedTuple):
 
 
 def water_case(water: Water, scene: Scene, field_range: tuple[float, float] = (1.0, 1.0)) -> Case:
-    """A scene in a water, as the sheet of ten waters has it."""
+    """Make the case of a scene in a water, as on the sheet of ten waters."""
     name = f"Jerlov {water.name}" if water.name in JERLOV_TYPES else water.name
     return Case(name, _SETTING, _in_waters([water], scene), field_range)
 
 
 def preset_case(name: str, preset: RandomUnderwater) -> Case:
-    """What a preset of which nothing is random comes to, over the scene's own distances."""
+    """Make the case of a preset without anything random, over the scene's distances."""
     only = preset.module()
     if only.light is not None:
         raise ValueError(f"{name}: sheets of terms are by daylight, but it has a light of its own")
@@ -86,7 +87,7 @@ def preset_case(name: str, preset: RandomUnderwater) -> Case:
 
 
 def _in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
-    """Each water with spectra, a colour matrix, and the calibrated width law."""
+    """Make a module of waters, with spectral surfaces and the calibrated width law."""
     law = PointSpread.calibrated(scene.focal_px or FOCAL_LENGTH * scene.image.shape[-1])
     media = (
         Medium.from_water(
@@ -102,7 +103,7 @@ def _in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
 
 
 def draw_contact_sheet(scene: Scene) -> "Figure":
-    """The ten Jerlov types over the scene's own distances."""
+    """Draw the scene in the ten Jerlov types."""
     waters = [Water.jerlov(name) for name in JERLOV_TYPES]
     beyond = "" if bool(scene.distance.isfinite().all()) else " and open water"
     caption = f"Jerlov types over the scene's distances, {metres(scene.distance)}{beyond}"
@@ -116,7 +117,7 @@ def draw_contact_sheet(scene: Scene) -> "Figure":
 
 
 def draw_terms(scene: Scene, case: Case) -> "Figure":
-    """Every term of the model."""
+    """Draw every term of the model."""
     module, medium = case.module, case.module.medium
     linear = module.color_space == "linear"
     light = "of sRGB values taken for light" if linear else "added in linear light"
@@ -151,19 +152,19 @@ def draw_terms(scene: Scene, case: Case) -> "Figure":
         for values, colour in zip(curve[0], RGB, strict=True):
             axis.plot(path.numpy(), values.numpy(), style, color=colour, linewidth=1.6)
         axis.plot([], [], style, color=INK, label=label)
-    # a colour matrix makes more of a channel than there is
+    # a colour matrix may raise a channel above 1
     axis.set(xlim=(0, reach), ylim=(0, max(1, axis.dataLim.ymax)))
     axis.legend(fontsize=9.5, loc="upper right", framealpha=0.85, edgecolor="none", borderpad=0)
     return figure
 
 
 def _of_white(curve: Tensor) -> Tensor:
-    """What white shows of curves (Bx3xN), or of matrices (Bx3x3xN)."""
+    """Curves (Bx3xN) of white, from curves or from matrices (Bx3x3xN)."""
     return curve if curve.ndim == 3 else curve.sum(2)
 
 
 def draw_depth_scaling(scene: Scene) -> "Figure":
-    """The paper's depth-scaling study: z from 0 to 20 m, γ = 1, 3, 6, in types II and 7C."""
+    """Draw the paper's depth scaling: z from 0 to 20 m, γ = 1, 3, 6, in types II and 7C."""
     law = "z = 20 m · t^γ, where t = 0…1 is the relative distance"
     constants = f"g = {Scattering.PAPER.g:g}, μ = {Scattering.PAPER.mu:g}"
     caption = f"{law}. Scene 1 m deep, {constants}, homogeneous, one exposure."
@@ -181,9 +182,7 @@ def draw_depth_scaling(scene: Scene) -> "Figure":
 
 
 def draw_width_laws(scene: Scene) -> "Figure":
-    """The paper's width law against the one calibrated to Monte Carlo light transport, with an
-    enlarged part.
-    """
+    """Draw the paper's width law beside the one calibrated to Monte Carlo light transport."""
     from matplotlib.patches import Rectangle
 
     assert scene.focal_px is not None
@@ -193,11 +192,11 @@ def draw_width_laws(scene: Scene) -> "Figure":
         f"transport: exponential, g = {constants.g:g}, μ = {constants.mu:g}, focal length "
         f"{scene.focal_px:.0f} px. Scene 1 m deep."
     )
-    heading = f"Width laws of the forward scatter, Jerlov {_COAST}"
+    heading = f"Width laws of the forward scatter, Jerlov {_COASTAL_TYPE}"
     figure, axes = sheet(scene, 9, heading, caption, columns=3)
     law = PointSpread.calibrated(scene.focal_px)
-    paper = Medium.from_water(_COAST)
-    calibrated = Medium.from_water(_COAST, g=constants.g, point_spread=law)
+    paper = Medium.from_water(_COASTAL_TYPE)
+    calibrated = Medium.from_water(_COASTAL_TYPE, g=constants.g, point_spread=law)
     height, width = scene.image.shape[-2:]
     radius = plot(axes[6], "Half of the scattered light is within", "distance [m]", "radius [px]")
     z = torch.linspace(0.05, 8, 160, dtype=torch.float64)
@@ -210,7 +209,7 @@ def draw_width_laws(scene: Scene) -> "Figure":
         forward = form_image(decoded(scene.image, "srgb"), scene.distance, medium).forward
         show(axis, linear_to_srgb(forward), f"{label}, forward scatter alone")
         sigma = medium.width(z[None, None, None], (height, width)).flatten()
-        half = _HALF_LIGHT[medium.point_spread.shape] * sigma
+        half = _HALF_LIGHT_RADIUS[medium.point_spread.shape] * sigma
         radius.plot(z.numpy(), half.numpy(), color=colour, label=label, linewidth=2)
     low, high = extent(scene.distance)
     radius.axvspan(low, high, color="black", alpha=0.07, linewidth=0, label="this scene")
@@ -227,17 +226,17 @@ def draw_width_laws(scene: Scene) -> "Figure":
 PICTURES: "dict[str, Callable[[Scene], Figure]]" = {
     "1-waters.jpg": draw_contact_sheet,
     "2-terms.jpg": lambda scene: draw_terms(
-        scene, water_case(Water.jerlov(_COAST), scene, (0.3, 1.7))
+        scene, water_case(Water.jerlov(_COASTAL_TYPE), scene, (0.3, 1.7))
     ),
     "3-depth-scaling.jpg": draw_depth_scaling,
     "4-width-laws.jpg": draw_width_laws,
 }
-"""The demo's files and who draws them."""
+"""Files of the demo, and the functions that draw them."""
 
 
 def own_pictures(case: Case) -> "dict[str, Callable[[Scene], Figure]]":
-    """The files that show a scene of one's own, and who draws them. The other sheets of the demo
-    need distances that are relative, or a focal length.
+    """Files for a user's scene, and the functions that draw them. The demo's other sheets need
+    relative distances or a focal length.
     """
     return {
         "1-waters.jpg": draw_contact_sheet,

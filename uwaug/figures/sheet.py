@@ -1,4 +1,4 @@
-"""Sheets of pictures: a heading, and cells of one shape for pictures, maps and curves."""
+"""Sheets: a heading, and cells of one shape for pictures, maps and curves."""
 
 import math
 from pathlib import Path
@@ -24,23 +24,22 @@ _LINE_PX = 20
 """Height of a caption's line."""
 
 _LOW_PX = 130
-"""A cell that is less high has no room for what is written into it."""
+"""Least height of a cell that has room for letters."""
 
-_SMALLEST = 6.0
-"""Of a label's letters, pt, which are smaller where it would leave its cell."""
+_SMALLEST_PT = 6.0
+"""Least size of a label's letters, where it would leave its cell."""
 
 _TITLE_STYLE: dict[str, Any] = {"loc": "left", "fontsize": 12.5, "color": INK}
 
 _AS_WRITTEN: dict[str, Any] = {"parse_math": False}
-"""Of a text that may be a user's, such as a file's name: a $ in it is a $."""
+"""Style of texts from users, such as names of files: a $ stays a $."""
 
 
 def sheet(
     scene: Scene, cells: int, heading: str, caption: str, columns: int | None = None
 ) -> tuple["Figure", list["Axes"]]:
-    """At least so many cells, row by row, each of the shape of a scene's picture, below a heading
-    and a caption, which tells what was done to the scene. By default 4 go beside one another, or
-    fewer panoramas.
+    """Make at least so many cells, row by row, each of the shape of a scene's picture, below a
+    heading and a caption. By default 4 stand side by side, or fewer panoramas.
     """
     from matplotlib.figure import Figure
 
@@ -74,12 +73,12 @@ def sheet(
 
 
 def show(axis: "Axes", picture: Tensor, label: str) -> None:
-    """A picture (3xHxW, sRGB)."""
+    """Draw a picture (3xHxW, sRGB)."""
     axis.imshow(picture.clamp(0, 1).permute(1, 2, 0).numpy(), aspect="auto")
     title = axis.set_title(label, **_TITLE_STYLE, **_AS_WRITTEN)
     size, room = _TITLE_STYLE["fontsize"], axis.get_window_extent().width
-    # letters do not get narrower as their size does
-    while title.get_window_extent().width > room and size > _SMALLEST:
+    # letters do not narrow in proportion to their size
+    while title.get_window_extent().width > room and size > _SMALLEST_PT:
         size -= 0.5
         title.set_fontsize(size)
 
@@ -92,7 +91,7 @@ def show_map(
     span: tuple[float, float],
     unit: str = "",
 ) -> None:
-    """A map (1xHxW), with a colour bar inside; one colour and none if the span is a point."""
+    """Draw a map (1xHxW) and a colour bar; one colour and no bar if the span is a point."""
     low, high = span
     flat = _is_point(span)
     ends = (0, 2 * high) if flat else span
@@ -101,15 +100,15 @@ def show_map(
     axis.set_title(label, **_TITLE_STYLE, **_AS_WRITTEN)
     if flat:
         return
-    # what is written beneath a bar is as high in a low cell, and in a high one
+    # letters beneath a bar are as high in a low cell as in a high one
     tall = axis.get_window_extent().height
     k = min(max(1.0, 200 / tall), 300 / tall)
     frame = axis.inset_axes((0.03, 0.04 * k, 0.94, 0.14 * k), facecolor=(1, 1, 1, 0.85))
     frame.set(xticks=[], yticks=[])
     frame.spines[:].set_visible(False)
     bar = axis.inset_axes((0.06, 0.13 * k, 0.88, 0.03 * k))
-    at = [low, (low + high) / 2, high]
-    axis.figure.colorbar(picture, cax=bar, orientation="horizontal", ticks=at)
+    ticks = [low, (low + high) / 2, high]
+    axis.figure.colorbar(picture, cax=bar, orientation="horizontal", ticks=ticks)
     bar.set_xticklabels(in_words(span, unit), fontsize=9.5, color=INK)
     bar.tick_params(length=2, pad=2)
     sides: tuple[Literal["left", "center", "right"], ...] = ("left", "center", "right")
@@ -122,19 +121,19 @@ def _is_point(span: tuple[float, float]) -> bool:
 
 
 def in_words(span: tuple[float, float], unit: str) -> list[str]:
-    """The low end, the middle and the high end, with the digits that tell them apart."""
+    """Low end, middle and high end in words, with the digits that tell them apart."""
     low, high = span
     digits = max(0, 1 - math.floor(math.log10(high - low)))
     return [f"{value:.{digits}f}{unit}" for value in (low, (low + high) / 2, high)]
 
 
 def finite_extent(z: Tensor) -> tuple[float, float]:
-    """The nearest and the farthest distance (m) that is not open water."""
+    """Nearest and farthest distance (m) but for open water."""
     return extent(z[z.isfinite()])
 
 
 def metres(z: Tensor) -> str:
-    """What `finite_extent` gives, in words."""
+    """Nearest and farthest distance in words."""
     span = finite_extent(z)
     if _is_point(span):
         return f"{span[1]:.3g} m"
@@ -143,7 +142,7 @@ def metres(z: Tensor) -> str:
 
 
 def show_distance(axis: "Axes", z: Tensor) -> None:
-    """Distances (1xHxW, m); +inf is open water."""
+    """Draw distances (1xHxW, m); +inf is open water."""
     span = finite_extent(z)
     flat, endless = _is_point(span), not bool(z.isfinite().all())
     label = "z   distance (darkest: open water too)" if endless else "z   distance"
@@ -154,7 +153,7 @@ def show_distance(axis: "Axes", z: Tensor) -> None:
 
 
 def show_field(axis: "Axes", field: Tensor, span: tuple[float, float]) -> None:
-    """A medium field (1xHxW), in colours for `span`."""
+    """Draw a medium field (1xHxW), in colours for `span`."""
     label = "m   medium field (multiplies z)"
     if _is_point(span):
         label = f"m   medium field, {span[0]:g} everywhere"
@@ -162,9 +161,7 @@ def show_field(axis: "Axes", field: Tensor, span: tuple[float, float]) -> None:
 
 
 def plot(cell: "Axes", label: str, xlabel: str, ylabel: str) -> "Axes":
-    """Axes for curves inside a cell of a sheet, with room for what is written on them. The label
-    is ours, and may have mathematics between $.
-    """
+    """Make axes for curves inside a cell of a sheet. The label may hold mathematics between $."""
     cell.set_title(label, **_TITLE_STYLE)
     bottom = max(0.17, 36 / cell.get_window_extent().height)
     axis = cell.inset_axes((0.14, bottom, 0.84, 0.97 - bottom))

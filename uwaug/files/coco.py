@@ -10,15 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uwaug.files.labels import (
-    PICTURES,
-    Entry,
-    Key,
-    Labels,
-    require_size,
-    split_of,
-    write_other,
-)
+from uwaug.files.labels import PICTURES, Entry, Key, Labels, require_size, split_of, write_labels
 
 if TYPE_CHECKING:
     from uwaug.files.items import Item
@@ -28,8 +20,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Coco(Labels):
-    """One JSON file: images by file name, annotations by the id of their image, and what else it
-    holds. `of` has the image of each picture, and its annotations; `count` images there are.
+    """Labels in one JSON file: images by file name, and annotations by the id of their image.
+
+    Attributes:
+        of: image and annotations of each picture, by its name.
+        rest: all other entries of the file.
+        count: number of images in the file.
     """
 
     rest: Entry = field(default_factory=dict)
@@ -51,18 +47,18 @@ class Coco(Labels):
                 annotations[entry["image_id"]].append(entry)
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             return f"{path}: is no COCO file: {error!r}"
-        matched = _matched(path, images, items)
-        of = {name: (image, annotations[image["id"]]) for name, image in matched.items()}
-        some = ", ".join(str(image["file_name"]) for image in images[:3])
-        expected = f"no image has the file_name {items[0].name} in its split (there are {some})"
+        matches = _matches(path, images, items)
+        of = {name: (image, annotations[image["id"]]) for name, image in matches.items()}
+        names = ", ".join(str(image["file_name"]) for image in images[:3])
+        expected = f"no image has the file_name {items[0].name} in its split (there are {names})"
         return cls(path, of, rest, len(images)) if of else f"{path}: {expected}"
 
     def only(self, name: str) -> "Coco":
         return Coco(self.path, super().only(name).of)
 
     def digest(self, name: str) -> str | None:
-        own = json.dumps(self.of.get(name)).encode()
-        return hashlib.sha256(own).hexdigest() if name in self.of else None
+        text = json.dumps(self.of.get(name)).encode()
+        return hashlib.sha256(text).hexdigest() if name in self.of else None
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         image, annotations = self.of[name]
@@ -76,76 +72,74 @@ class Coco(Labels):
                 raise ValueError(f"{self.path}, {got}") from error
 
     def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
-        """Write a file of the same name, of the pictures that have an image there, with a
-        "contrast" in each annotation. Where a picture was written more than once, images and
-        annotations are numbered anew.
+        """Write a file of the same name, with the images of the pictures, and a "contrast" in each
+        annotation. Images and annotations of several variants get new numbers.
         """
-        own = [picture for picture in pictures if picture.item.name in self.of]
-        names = {picture.item.name for picture in own}
-        anew = len(names) < len(own)
+        labelled = [picture for picture in pictures if picture.item.name in self.of]
+        renumber = len({picture.item.name for picture in labelled}) < len(labelled)
         images: list[Entry] = []
         annotations: list[Entry] = []
-        for picture in own:
+        for picture in labelled:
             image, entries = self.of[picture.item.name]
             if [entry["id"] for entry in entries] != [judged.key for judged in picture.objects]:
                 raise ValueError(f"{self.path} has changed since {picture.place} was written")
-            id = len(images) + 1 if anew else image["id"]
-            images.append({**image, "id": id, "file_name": picture.place})
+            image_id = len(images) + 1 if renumber else image["id"]
+            images.append({**image, "id": image_id, "file_name": picture.place})
             for entry, judged in zip(entries, picture.objects, strict=True):
                 if judged.kept:
-                    number = len(annotations) + 1 if anew else entry["id"]
-                    changed = {"id": number, "image_id": id, "contrast": judged.contrast}
-                    annotations.append({**entry, **changed})
+                    number = len(annotations) + 1 if renumber else entry["id"]
+                    changes = {"id": number, "image_id": image_id, "contrast": judged.contrast}
+                    annotations.append({**entry, **changes})
         content = {**self.rest, "images": images, "annotations": annotations}
         text = json.dumps(content, ensure_ascii=False)
-        write_other(out / self.path.name, text.encode(), self.path)
-        lost = self.count - len(self.of)
-        note = f"{lost} of {self.count} images of {self.path} have no picture here"
-        return [note] if lost else []
+        write_labels(out / self.path.name, text.encode(), self.path)
+        missing = self.count - len(self.of)
+        note = f"{missing} of {self.count} images of {self.path} have no picture here"
+        return [note] if missing else []
 
 
 def _parts(image: Entry) -> list[str]:
-    """The folders and the name of an image's file, whatever system wrote them."""
+    """Folders and name of an image's file, on any system."""
     words = str(image["file_name"]).replace("\\", "/").split("/")
     return [word for word in words if word not in ("", ".", "..")]
 
 
-def _matched(path: Path, images: Sequence[Entry], items: Sequence["Item"]) -> dict[str, Entry]:
-    """The image of each picture that has one: whose path is the end of the picture's, as it is or
-    without "images"; of an absolute path, a folder and the name do. An image is of one picture.
+def _matches(path: Path, images: Sequence[Entry], items: Sequence["Item"]) -> dict[str, Entry]:
+    """The image of each picture that has one, by the picture's name.
 
-    Raises:
-        ValueError: if two pictures may be one image.
+    The path of an image is the end of its picture's path, as it is or without "images". Of an
+    absolute path, a folder and the name are enough. Refuses an image that may be of two pictures.
     """
-    called: dict[str, list[Entry]] = defaultdict(list)
+    by_end: dict[str, list[Entry]] = defaultdict(list)
     for image in images:
         parts = _parts(image)
         plain = [part for part in parts if part not in PICTURES]
-        moved = parts[-2:] if re.match(r"[/\\]|\w:", str(image["file_name"])) else parts
-        for end in {"/".join(own) for own in (parts, plain, moved)}:
-            called[end].append(image)
-    here = Path(os.path.abspath(path))
+        is_absolute = re.match(r"[/\\]|\w:", str(image["file_name"]))
+        for end in {"/".join(x) for x in (parts, plain, parts[-2:] if is_absolute else parts)}:
+            by_end[end].append(image)
+    labels = Path(os.path.abspath(path))
     names: dict[Any, str] = {}
-    matched = {}
+    matches = {}
     for item in items:
         picture = Path(os.path.abspath(item.picture))
-        common = len(Path(os.path.commonpath([here, picture])).parts)
-        words = [*here.parts[common:-1], *re.split(r"[\W_]+", here.stem)]
+        common = len(Path(os.path.commonpath([labels, picture])).parts)
+        words = [*labels.parts[common:-1], *re.split(r"[\W_]+", labels.stem)]
         splits = {split_of(words), split_of(picture.parts[common:-1])} - {None}
         ends = ("/".join(picture.parts[i:]) for i in range(len(picture.parts)))
-        own = next((called[end] for end in ends if end in called), [])
-        if len(own) != 1 or len(splits) > 1:
+        candidates = next((by_end[end] for end in ends if end in by_end), [])
+        if len(candidates) != 1 or len(splits) > 1:
             continue
-        other = names.setdefault(own[0]["id"], item.name)
-        if other != item.name:
-            got = f"{own[0]['file_name']} may be {other} or {item.name}"
+        image = candidates[0]
+        rival = names.setdefault(image["id"], item.name)
+        if rival != item.name:
+            got = f"{image['file_name']} may be {rival} or {item.name}"
             raise ValueError(f"{path}: {got}: give the pictures of one folder")
-        matched[item.name] = own[0]
-    return matched
+        matches[item.name] = image
+    return matches
 
 
 def _pixels(entry: Entry, size: "Size") -> "Pixels":
-    """By segmentation, else by box."""
+    """Pixels of an annotation, by its segmentation, else by its box."""
     from uwaug.files.pixels import of_box, of_polygons, of_runs
 
     segmentation = entry.get("segmentation")

@@ -1,4 +1,4 @@
-"""Distance maps in files by a depth network: made once, and read by every run."""
+"""Distance maps of pictures by a depth network, written to files once for all runs."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,8 +18,7 @@ from uwaug.files.record import digest
 from uwaug.files.run import Job, Progress, Work, require_free, run
 from uwaug.files.summary import Summary
 
-_WHITE = 65535
-"""The largest number of 16 bits."""
+_WHITE = 65535  # of 16 bits
 
 
 def write_maps(
@@ -33,18 +32,18 @@ def write_maps(
     sheet: bool = False,
     progress: Progress | None = None,
 ) -> Summary:
-    """Write what a network says of pictures, as PNG of 16 bits with their names.
+    """Write the maps of a network as PNG of 16 bits with the names of the pictures, and a record
+    beside each.
 
-    Maps of inverse depth are stretched from 0, far, to 65535, near, as their scale means nothing;
-    relative ones are 65535 times as much; metres become mm, 65.5 m at most. A record beside each
-    says which network made it, and of what.
+    Maps of inverse depth are stretched from 0, far, to 65535, near, as their scale means nothing.
+    Relative depth, 0…1, becomes 0…65535. Metres become mm, 65.5 m at most.
 
     Args:
-        network: of a file.
-        items: which pictures, see `find_items`.
-        out: a folder, made if need be.
+        network: a network in a file.
+        items: pictures, see `find_items`.
+        out: folder to write to, made if need be.
         workers, resume, force, progress: as for `degrade`; each process has its own network.
-        sheet: draw some of the maps on sheet.jpg: what is near is bright.
+        sheet: draw some of the maps on sheet.jpg, bright where they are near.
 
     Raises:
         TypeError: if the network is a function.
@@ -58,7 +57,7 @@ def write_maps(
 
 
 class _Maps(Work):
-    """Maps by a network."""
+    """Maps of a network."""
 
     def __init__(self, network: Network, out: Path, *, resume: bool, force: bool) -> None:
         super().__init__(out, resume=resume, force=force)
@@ -86,7 +85,7 @@ class _Maps(Work):
 
 
 def _whole_numbers(depth: Tensor, network: Network) -> NDArray[np.uint16]:
-    """A map (1xHxW) as a file holds it."""
+    """The numbers of a map (1xHxW) in its file (HxW)."""
     values = depth[0].double().numpy()
     low, high = float(values.min()), float(values.max())
     if not np.isfinite(high - low):

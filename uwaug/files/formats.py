@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     from uwaug.files.items import Item
 
 FORMATS: tuple[type[Labels], ...] = (Coco, Yolo, Voc, Masks)
-"""In this order: data sets in any format may hold masks, too."""
+"""Formats in the order of trial: data sets in any format may hold masks, too."""
 
 
 def formats() -> str:
-    """What labels may be, in words."""
-    *others, last = (format.reads for format in FORMATS)
-    return f"{', '.join(others)}, or {last}"
+    """Files and folders that labels may be, in words."""
+    *first, last = (format.reads for format in FORMATS)
+    return f"{', '.join(first)}, or {last}"
 
 
 def open_labels(path: str | Path, items: Sequence["Item"]) -> Labels:
-    """The labels of some pictures in a file or a folder: of the first format that it holds, by what
-    stands in the files that belong to pictures.
+    """Open the labels of pictures in a file or a folder. The format is recognised by the files that
+    belong to the pictures.
 
     Raises:
-        ValueError: if it has labels for none of them, of no format; says what was looked for.
+        ValueError: if no format has labels for any picture; the error says what was looked for.
         OSError: if there is no such file or folder.
     """
     Path(path).stat()

@@ -1,4 +1,4 @@
-"""Which pictures a run degrades, and where their distances are."""
+"""The pictures of a run, with the files of their distances."""
 
 import os
 import re
@@ -14,7 +14,7 @@ from uwaug.files.record import is_written, places_of
 _MAP_ENDINGS = tuple(end for end in ENDINGS if end not in (".jpg", ".jpeg"))
 _PICTURE_ENDINGS = tuple(end for end in ENDINGS if end != ".npy")
 
-OTHERS = {
+_UNREAD = {
     "convert them first, as by magick mogrify -format png": (
         *(".avif", ".bmp", ".gif", ".heic", ".heif", ".jfif", ".jp2", ".jpe", ".jxl"),
         *(".pgm", ".pnm", ".ppm", ".tga", ".webp"),
@@ -26,7 +26,7 @@ OTHERS = {
         *(".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".webm"),
     ),
 }
-"""What to do with pictures that are neither read nor written; and the ends of their names."""
+"""Cures for pictures that are neither read nor written, with the ends of their names."""
 
 _STEM = re.compile(r"\{stem(?::([^=}]*)=([^}]*))?\}")
 
@@ -35,10 +35,10 @@ class Item(NamedTuple):
     """A picture of a run.
 
     Attributes:
-        name: its path below the folder of pictures, with forward slashes, which is its place in the
-            folder of the run, too. What is random follows from it.
-        picture: its file.
-        distance: the file of its distances; None where the transform makes them.
+        name: path below the folder of pictures, with forward slashes; also the place in the folder
+            of the run. Random numbers follow from it.
+        picture: file of the picture.
+        distance: file of its distances; None where the transform makes them.
     """
 
     name: str
@@ -52,23 +52,23 @@ def find_items(
     *,
     exclude: Iterable[str | Path | None] = (),
 ) -> list[Item]:
-    """The pictures in a file or a folder, with the files of their distances.
+    """Find the pictures in a file or a folder, with the files of their distances.
 
     Args:
-        pictures: a picture; or a folder of PNG, JPEG, TIFF and EXR files, with all that is in it.
-            What a run has written there is left out, by its records.
-        distance: a file, for all pictures; a folder with files of the pictures' names; or a pattern
-            with {stem}, the name of a picture without its end: "{stem}_depth.png" of files beside
-            each picture, "depth/{stem}_z.png" of those in a folder, {stem:rgb=depth} with a part
-            of the name replaced. None: no files.
-        exclude: folders whose files are no pictures, such as that of the run and of its labels.
+        pictures: a picture; or a folder of PNG, JPEG, TIFF and EXR files, searched with its
+            subfolders. Pictures that a run has written are left out.
+        distance: a file for all pictures; a folder with files of the pictures' names; or a pattern
+            with {stem}, the name of a picture without its end. "{stem}_depth.png" names files
+            beside each picture, "depth/{stem}_z.png" files in a folder, and {stem:rgb=depth}
+            replaces a part of the name. None: no files.
+        exclude: folders whose files are no pictures, such as those of the run and of its labels.
 
     Returns:
-        In the order of their names. A map that is missing is named without its end: reading it
-        fails, and nothing else.
+        The pictures in the order of their names. A missing map is named without its end, and fails
+        when it is read.
 
     Raises:
-        ValueError: if there are no pictures, or not one of them has distances.
+        ValueError: if there are no pictures, or none of them has distances.
         OSError: if there is no such file or folder.
     """
     source = Path(pictures)
@@ -86,11 +86,14 @@ def find_items(
     for item in items:  # an EXR may hold its distances, too
         if item.distance != item.picture or item.picture.suffix.lower() != ".exr":
             maps.add(item.distance and os.path.abspath(item.distance))
-    items = [item for item in items if os.path.abspath(item.picture) not in maps]
-    items = [item for item in items if holds_picture(item.picture)]
+    items = [
+        item
+        for item in items
+        if os.path.abspath(item.picture) not in maps and holds_picture(item.picture)
+    ]
     if not items:
-        others = left_out(source, distance, exclude=exclude)
-        got = f"{', '.join(_PICTURE_ENDINGS)}{others and f'; there are {others}'}"
+        unread = left_out(source, distance, exclude=exclude)
+        got = f"{', '.join(_PICTURE_ENDINGS)}{unread and f'; there are {unread}'}"
         raise ValueError(f"no pictures in {pictures}: expected {got}")
     if distance is not None and not any(item.distance.is_file() for item in items if item.distance):
         expected = f"such as {items[0].distance}, ending in {', '.join(_MAP_ENDINGS)}"
@@ -101,35 +104,35 @@ def find_items(
 def left_out(
     pictures: Path, distance: str | Path | None = None, *, exclude: Iterable[str | Path | None] = ()
 ) -> str:
-    """How many pictures of a folder are of formats that are not read, in words; "" for none.
-    Arguments as for `find_items`.
+    """Numbers and cures of pictures in formats that are not read, in words; "" for none. Arguments
+    are those of `find_items`.
     """
-    ends = tuple(end for some in OTHERS.values() for end in some)
-    paths = _inside(pictures, [*exclude, distance], ends) if pictures.is_dir() else ()
+    endings = tuple(end for ends in _UNREAD.values() for end in ends)
+    paths = _inside(pictures, [*exclude, distance], endings) if pictures.is_dir() else ()
     counts = Counter(path.suffix.lower() for path in paths)
     return "; ".join(f"{n} {end}: {cure_of(end)}" for end, n in sorted(counts.items()))
 
 
 def cure_of(end: str) -> str:
-    """What to do with files whose names end so; "" where they can be read."""
-    return next((cure for cure, ends in OTHERS.items() if end.lower() in ends), "")
+    """Cure for files whose names end so; "" where they can be read."""
+    return next((cure for cure, ends in _UNREAD.items() if end.lower() in ends), "")
 
 
 def _inside(
     folder: Path, exclude: Iterable[str | Path | None], endings: tuple[str, ...]
 ) -> Iterator[Path]:
-    """The pictures in a folder and those inside it."""
-    places = (os.path.realpath(place) for place in exclude if place is not None)
-    for path in _files(folder, frozenset(places)):
+    """Files with one of the endings in a folder and its subfolders that no run has written."""
+    excluded = (os.path.realpath(place) for place in exclude if place is not None)
+    for path in _files(folder, frozenset(excluded)):
         if path.suffix.lower() in endings and not is_written(path):
             yield path
 
 
-def _files(folder: Path, apart: frozenset[str]) -> Iterator[Path]:
-    """The files in a folder and those inside it, but for some folders, those of runs, and names
-    that begin with a dot; a link is followed, unless it leads to a folder in which it lies.
+def _files(folder: Path, excluded: frozenset[str]) -> Iterator[Path]:
+    """Files in a folder and its subfolders, but for excluded ones, those of runs, and names that
+    begin with a dot. A link is followed, unless it leads to a folder that it lies in.
     """
-    apart |= {os.path.realpath(folder)}
+    excluded |= {os.path.realpath(folder)}
     for path in folder.iterdir():
         if path.name.startswith(".") or (path.name.startswith("@") and path.is_dir()):
             continue  # hidden, or of a disk in the network
@@ -137,27 +140,27 @@ def _files(folder: Path, apart: frozenset[str]) -> Iterator[Path]:
             continue  # Pascal VOC's masks
         if not path.is_dir():
             yield path
-        elif os.path.realpath(path) not in apart and places_of(path) is None:
-            yield from _files(path, apart)
+        elif os.path.realpath(path) not in excluded and places_of(path) is None:
+            yield from _files(path, excluded)
 
 
 def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
-    """The distances of a picture: beside it, in a folder or a file."""
+    """File of the distances of a picture, by `distance` of `find_items`."""
     if distance is None or Path(distance).is_file():
         return None if distance is None else Path(distance)
     pattern = str(distance) if _STEM.search(str(distance)) else f"{distance}/{{stem}}"
-    stems, place = [os.path.splitext(alias)[0] for alias in aliases(name)], Path()
+    stems, folder = [os.path.splitext(alias)[0] for alias in aliases(name)], Path()
     if not os.path.dirname(pattern):
-        stems, place = [path.stem], path.parent
-    bases = [place / _filled(pattern, stem) for stem in stems]
+        stems, folder = [path.stem], path.parent
+    bases = [folder / _filled(pattern, stem) for stem in stems]
     paths = [base.with_name(base.name + end) for base in bases for end in ("", *_MAP_ENDINGS)]
-    # a picture is its own map in an EXR alone: in others a part that is replaced was not there
+    # an EXR may be its own map; any other picture matches where the part to replace is not there
     is_map = any(new and new in stems[0] for _, new in _STEM.findall(pattern))
-    own = None if is_map or path.suffix.lower() == ".exr" else os.path.realpath(path)
-    maps = (file for file in filter(Path.is_file, paths) if os.path.realpath(file) != own)
+    picture = None if is_map or path.suffix.lower() == ".exr" else os.path.realpath(path)
+    maps = (file for file in filter(Path.is_file, paths) if os.path.realpath(file) != picture)
     return next(maps, bases[0].with_suffix(""))
 
 
 def _filled(pattern: str, stem: str) -> str:
-    """A pattern with the name of a picture in it."""
+    """A pattern with the name of a picture in place of {stem}."""
     return _STEM.sub(lambda m: stem.replace(m[1], m[2]) if m[1] else stem, pattern)

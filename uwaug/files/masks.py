@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from uwaug.files.labels import Folder, Key, require_size, write_other
+from uwaug.files.labels import Folder, Key, require_size, write_labels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -14,29 +14,25 @@ if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
-_COLOURS = 256
-"""Of a mask at most; a photograph has more."""
-
-_SMALL = 20
-"""Values of masks that count classes or objects begin below."""
-
-_IGNORE = 0xE0E0C0
-"""Pascal VOC's colour of pixels that say nothing."""
+_MAX_COLOURS = 256  # of a mask; a photograph has more
+_SMALL_VALUE = 20  # masks that count classes or objects begin below
+_IGNORED_COLOUR = 0xE0E0C0  # Pascal VOC's, of pixels to ignore
 
 
 @dataclass(frozen=True, eq=False)
 class Masks(Folder):
-    """Masks of 8 or 16 bits, or in colour (red·65536 + green·256 + blue, but for greys), with a
-    value for each object or class; 0 is background. The largest of 8 bits, beside small ones, marks
-    pixels to ignore.
+    """Masks of 8 or 16 bits, or in colour, with a value for each object or class.
+
+    The value of a colour is red·65536 + green·256 + blue, but for greys. 0 is background. 255
+    beside small values marks pixels to ignore.
 
     Attributes:
         ignored: values of pixels that are no object, which stay as they are.
-        tells: whether 255 was seen among small values, and is told of.
+        has_255: True if the samples have 255 beside small values, which is told.
     """
 
-    ignored: frozenset[Key] = frozenset({0, _IGNORE})
-    tells: bool = False
+    ignored: frozenset[Key] = frozenset({0, _IGNORED_COLOUR})
+    has_255: bool = False
 
     reads = "a folder of .png masks"
     end = ".png"
@@ -52,8 +48,8 @@ class Masks(Folder):
         values = {value for file in samples for value in np.unique(_read(file)[1]).tolist()}
         if not _counts(values):
             return self
-        # a picture whose mask is not among the samples may have it, too
-        return replace(self, ignored=self.ignored | {255}, tells=255 in values)
+        # masks that are not among the samples may have 255, too
+        return replace(self, ignored=self.ignored | {255}, has_255=255 in values)
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         import numpy as np
@@ -81,20 +77,20 @@ class Masks(Folder):
         return file.getvalue()
 
     def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
-        """Copy what says which colour is which class, as CVAT has it."""
+        """Copy CVAT's table of colours and classes."""
         for source in (self.path.parent / "labelmap.txt", self.path / "labelmap.txt"):
             if source.is_file():
-                write_other(out / source.name, source.read_bytes(), source)
-        return ["255 in masks says nothing (ignore), and stays"] * self.tells
+                write_labels(out / source.name, source.read_bytes(), source)
+        return ["255 in masks says nothing (ignore), and stays"] * self.has_255
 
 
 def _counts(values: Collection[int]) -> bool:
-    """Whether values count classes or objects, so that 255 is none of them."""
-    return any(0 < value < _SMALL for value in values)
+    """True if values count classes or objects, so that 255 is none of them."""
+    return any(0 < value < _SMALL_VALUE for value in values)
 
 
 def _read(file: Path) -> "tuple[NDArray[Any], NDArray[Any], list[int] | None]":
-    """The pixels of a mask (HxW, or HxWx3 in colour), its values (HxW), and its palette."""
+    """Pixels of a mask (HxW, or HxWx3 in colour), its values (HxW), and its palette."""
     import numpy as np
     from PIL import Image
 
@@ -104,16 +100,16 @@ def _read(file: Path) -> "tuple[NDArray[Any], NDArray[Any], list[int] | None]":
         pixels, palette = np.array(image), image.getpalette()
     if pixels.ndim == 2:
         pixels = pixels.astype(np.uint8) if pixels.dtype == bool else pixels
-        used = range(int(pixels.max()) + 1) if palette else ()
-        colours = [tuple((palette or [])[3 * i : 3 * i + 3]) for i in used]
-        black = (0, 0, 0)
-        if black in colours[1:] and colours[0] != black:
-            got = f"in its palette 0 is {colours[0]}, and {colours.index(black)} is black"
-            raise ValueError(f"{file}: {got}: which is background? Save it as RGB")
+        if palette:
+            colours = [tuple(palette[3 * i : 3 * i + 3]) for i in range(int(pixels.max()) + 1)]
+            black = (0, 0, 0)
+            if black in colours[1:] and colours[0] != black:
+                got = f"in its palette 0 is {colours[0]}, and {colours.index(black)} is black"
+                raise ValueError(f"{file}: {got}: which is background? Save it as RGB")
         return pixels, pixels, palette
     if (pixels == pixels[..., :1]).all():
         return pixels, pixels[..., 0], None
     values = pixels.astype(np.int32) @ [65536, 256, 1]
-    if (count := len(np.unique(values))) > _COLOURS:
+    if (count := len(np.unique(values))) > _MAX_COLOURS:
         raise ValueError(f"{file}: {count} colours are those of a picture, not of a mask")
     return pixels, values, None

@@ -1,4 +1,4 @@
-"""Pictures and distance maps in files, in the format that the end of a file's name says."""
+"""Pictures and distance maps in files. The end of a file's name says its format."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -17,34 +17,31 @@ from uwaug._support.types import ColorSpace
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 
 ENDINGS = (".npy", ".exr", ".tif", ".tiff", ".png", ".jpg", ".jpeg")
-"""Of the names of pictures and, but for JPEG, of distance maps."""
+"""Ends of the names of pictures and, but for JPEG, of distance maps."""
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""What distances may be written in, m."""
+"""Units of distance, m."""
 
-_BIT_DEPTH = 24
-"""Byte of a PNG that says how many bits a channel has."""
-
-_IN_PNG = (b"eXIf", b"Raw profile type", b"XML:com.adobe.xmp")
-"""What a PNG has in it that says how it has to be turned."""
+_BIT_DEPTH = 24  # place in a PNG of the byte with the number of bits of a channel
+_ORIENTATION_CHUNKS = (b"eXIf", b"Raw profile type", b"XML:com.adobe.xmp")  # of a PNG
 
 
 def read_picture(path: str | Path, color_space: ColorSpace = "srgb") -> Tensor:
-    """Read a picture. Grey is R = G = B, an alpha that is opaque is none.
+    """Read a picture. Grey becomes R = G = B; an opaque alpha is dropped.
 
     Args:
-        path: of a PNG, JPEG or TIFF file of 8 or 16 bits; or of a .npy (HxWx3) or .exr file, which
-            may also hold floating-point numbers, 0…1. EXR and PNG of 16 bits need the extra
-            "files".
-        color_space: in which it is wanted. An EXR holds linear light; all else comes as it is.
+        path: a PNG, JPEG or TIFF file of 8 or 16 bits; or a .npy (HxWx3) or .exr file, which may
+            also hold floating-point numbers, 0…1. EXR and PNG of 16 bits need the extra "files".
+        color_space: colour space of the result. An EXR holds linear light; all other files are
+            taken as they are.
 
     Returns:
-        3xHxW: uint8 (0…255) of 8 bits, else float32: 0…1 of 16 bits, as it is of floating point.
-        Upright, as EXIF says that the camera was held. Profiles of colour are not applied.
+        3xHxW: uint8 (0…255) for 8 bits, else float32 (0…1 for 16 bits, unchanged floating point).
+        It is upright by EXIF. Colour profiles are not applied.
 
     Raises:
-        ValueError: if it is of another format, has a palette, other channels, or an alpha that is
-            not opaque, holds several pictures, or cannot be decoded; names the file.
+        ValueError: if it has another format, a palette, other channels or an alpha that is not
+            opaque, if it holds several pictures or cannot be decoded; the error names the file.
         OSError: if there is no such file, or it cannot be read.
     """
     values = _decoded(Path(path), "RGB")
@@ -71,19 +68,19 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     """Read a map of distances.
 
     Args:
-        path: of a .npy (HxW), .exr (one channel, or one called Z or depth), TIFF or PNG file. Axes
-            of length 1 count as none, and channels that are equal as one.
-        unit: of the numbers in the file: "m", "cm", "mm", or how many metres 1 stands for. None:
-            they are no lengths but relative or inverse; whole numbers of 8 and 16 bits without
-            sign are then shares of the largest that their type holds.
+        path: a .npy (HxW), .exr (one channel, or one called Z or depth), TIFF or PNG file. Axes of
+            length 1 count as none, and equal channels as one.
+        unit: unit of the numbers in the file: "m", "cm", "mm", or the metres that 1 stands for.
+            None: they are relative or inverse; unsigned whole numbers of 8 and 16 bits then become
+            shares of the largest of their type.
 
     Returns:
-        1xHxW, float32: m, or without unit as it is. Unknown pixels (0, negative, NaN) stay; with a
-        unit, the largest number that a type holds is NaN, too.
+        1xHxW, float32: m, or unchanged numbers without unit. Unknown pixels (0, negative, NaN)
+        stay; with a unit, the largest number of a type becomes NaN, too.
 
     Raises:
-        ValueError: if its channels differ; if it has a unit and 8 bits, which are too few, or a
-            median beyond 1000 m; if the unit is unknown; or if it cannot be decoded.
+        ValueError: if channels differ; with a unit, if the file has 8 bits, which are too few, or a
+            median beyond 1000 m; if the unit is unknown; if the file cannot be decoded.
         OSError: if there is no such file, or it cannot be read.
     """
     values = _decoded(Path(path), "Z")
@@ -100,22 +97,22 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
         raise ValueError(f"{path}: 8 bits are too few for distances in {unit}: {cure}")
     # rounded once, from double precision
     z = (values.astype(np.float64) * metres_of(unit)).astype(np.float32)
-    most = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else np.inf
-    z[(values == most) & np.isfinite(most)] = np.nan
-    metres = torch.from_numpy(z)[None]
-    median = checks.too_far(metres)
+    largest = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else np.inf
+    z[(values == largest) & np.isfinite(largest)] = np.nan
+    distance = torch.from_numpy(z)[None]
+    median = checks.too_far(distance)
     if median is not None:
         got = f"the median is {median:.4g} metres if they are in {unit}, farther than one sees"
         cure = "is the unit mm (--unit mm)?"
-        if most < np.inf and values[values < most].max() > most / 2:
+        if largest < np.inf and values[values < largest].max() > largest / 2:
             cure = "they span what their type holds, as relative distances do: --set distance.kind="
             cure += "Inverse where large is near, else Relative? Or is the unit mm (--unit mm)?"
         raise ValueError(f"{path}: {got}: {cure}")
-    return metres
+    return distance
 
 
 def holds_picture(path: Path) -> bool:
-    """Whether a file may be a picture: of an EXR, whether it has colours, as maps have none."""
+    """True if a file may be a picture; an EXR, if it has colours, as maps have none."""
     if path.suffix.lower() != ".exr":
         return True
     try:
@@ -127,14 +124,15 @@ def holds_picture(path: Path) -> bool:
 
 
 def orientation_of(path: Path) -> int:
-    """How a picture has to be turned or mirrored to be upright, as EXIF counts: 1 is not."""
-    if path.suffix.lower() in (".tif", ".tiff"):
+    """Orientation of a picture by EXIF: 1 is upright, 2…8 have to be turned or mirrored."""
+    end = path.suffix.lower()
+    if end in (".tif", ".tiff"):
         with tifffile.TiffFile(path) as file:
             return _of_tag(file.pages.first)
-    if path.suffix.lower() in (".npy", ".exr"):
+    if end in (".npy", ".exr"):
         return 1
-    if path.suffix.lower() == ".png" and not any(map(path.read_bytes().__contains__, _IN_PNG)):
-        return 1  # else Pillow decodes all of it to see what stands behind
+    if end == ".png" and not any(map(path.read_bytes().__contains__, _ORIENTATION_CHUNKS)):
+        return 1  # else Pillow decodes all of it to find chunks behind
     with Image.open(path) as image:
         return _orientation(image)
 
@@ -148,17 +146,14 @@ def _orientation(image: Image.Image) -> int:
 
 
 def _upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """The picture (HxW or HxWxC) turned upright."""
     mirrored = values[:, ::-1] if orientation in (2, 4, 5, 7) else values
     quarters = {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}.get(orientation, 0)
     return np.rot90(mirrored, quarters)
 
 
 def metres_of(unit: str | float) -> float:
-    """Metres of a unit of distances.
-
-    Raises:
-        ValueError: if it is none.
-    """
+    """Metres that a unit of distances stands for; refuses any other word or number."""
     if isinstance(unit, str):
         checks.one_of("unit", unit, (*UNITS, "a number of metres"))
         return UNITS[unit]
@@ -172,11 +167,11 @@ def write_picture(
     """Write a picture, whole or not at all.
 
     Args:
-        path: its end is the format; a file that exists is replaced.
+        path: file to write or replace; the end of its name is the format.
         image (3xHxW tensor): uint8 (0…255), written in 8 bits; or floating point (0…1), written in
-            16 bits where the format has them (PNG, TIFF), as float32 in .npy and .exr.
-        quality: of JPEG, 1…100; colours are not subsampled.
-        color_space: of the image. An EXR gets linear light.
+            16 bits to PNG and TIFF, as float32 to .npy and .exr.
+        quality: quality of JPEG, 1…100; colours are not subsampled.
+        color_space: colour space of the image. An EXR gets linear light.
 
     Raises:
         ValueError: if the end of the name is unknown.
@@ -185,8 +180,8 @@ def write_picture(
     end = _ending(Path(path))
     values = image.detach().cpu().permute(1, 2, 0).contiguous().numpy()
     if values.dtype != np.uint8 and end not in (".npy", ".exr"):
-        most, kind = (255, np.uint8) if end in (".jpg", ".jpeg") else (65535, np.uint16)
-        values = np.rint(values.clip(0, 1).astype(np.float64) * most).astype(kind)
+        white, kind = (255, np.uint8) if end in (".jpg", ".jpeg") else (65535, np.uint16)
+        values = np.rint(values.clip(0, 1).astype(np.float64) * white).astype(kind)
     with written_whole(path) as part:
         if end == ".exr":
             (exr,) = require("files", "OpenEXR")
@@ -219,8 +214,8 @@ def _ending(path: Path) -> str:
     return end
 
 
-def _decoded(path: Path, wanted: Literal["RGB", "Z"]) -> NDArray[Any]:
-    """The numbers of a file (HxW or HxWxC), without an alpha that is opaque."""
+def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
+    """Numbers of a file (HxW or HxWxC), without an opaque alpha."""
     end = _ending(path)
     require_regular(path)
     try:
@@ -228,7 +223,7 @@ def _decoded(path: Path, wanted: Literal["RGB", "Z"]) -> NDArray[Any]:
             # mapped, so that a header that lies about its size does not fill the memory
             values = np.array(np.load(path, mmap_mode="r", allow_pickle=False))
         elif end == ".exr":
-            values = _of_exr(path, wanted)
+            values = _of_exr(path, channels)
         else:
             values = _of_tiff(path) if end in (".tif", ".tiff") else _of_pillow(path)
     except (ImportError, MemoryError):
@@ -282,22 +277,22 @@ def _of_tiff(path: Path) -> NDArray[Any]:
         return _upright(values, _of_tag(page))
 
 
-def _of_exr(path: Path, wanted: Literal["RGB", "Z"]) -> NDArray[Any]:
-    """The colours or the distances of the parts and layers of a file, as renderers name them.
-    Denoisers have colours and distances of their own; X, Y and Z are a vector.
+def _of_exr(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
+    """Colours or distances of a file with parts and layers, by the names that renderers give them.
+    Layers of denoisers do not count, nor the Z of a vector X, Y, Z.
     """
     (exr,) = require("files", "OpenEXR")
     parts = exr.File(str(path)).parts
-    channels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
-    colours = [name for name in channels if channels[name].ndim == 3]
-    if wanted == "RGB":
+    layers = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
+    colours = [name for name in layers if layers[name].ndim == 3]
+    if channels == "RGB":
         names = [name for name in colours if name in ("RGB", "RGBA")]
-        layers = [name for name in colours if name.endswith("Combined")] or colours
-        names += [name for name in layers if len(layers) == 1 or name.startswith("Composite.")]
+        views = [name for name in colours if name.endswith("Combined")] or colours
+        names += [name for name in views if len(views) == 1 or name.startswith("Composite.")]
     else:
-        lengths = [n for n in channels if f"{n[:-1]}X" not in channels and "Denois" not in n]
+        lengths = [n for n in layers if f"{n[:-1]}X" not in layers and "Denois" not in n]
         names = [name for name in lengths if name == "Z" or "depth" in name.lower()]
-        names += [name for name in lengths if name.endswith(".Z") or len(channels) == 1]
+        names += [name for name in lengths if name.endswith(".Z") or len(layers) == 1]
     if not names:
-        raise ValueError(f"expected one layer of {wanted}, got {', '.join(channels)}")
-    return np.asarray(channels[names[0]])
+        raise ValueError(f"expected one layer of {channels}, got {', '.join(layers)}")
+    return np.asarray(layers[names[0]])

@@ -1,7 +1,7 @@
-"""Which pixels of a picture an object covers.
+"""Pixels of a picture that an object covers.
 
-Positions of objects are continuous, from the picture's upper left corner: the pixel in row i and
-column j covers j ≤ x < j + 1, i ≤ y < i + 1.
+Positions are continuous, from the picture's upper left corner: the pixel in row i and column j
+covers j ≤ x < j + 1, i ≤ y < i + 1.
 """
 
 import math
@@ -13,21 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 Pixels = NDArray[np.bool_] | tuple[slice, slice]
-"""What selects the pixels of an object from a map (HxW)."""
+"""Index of an object's pixels in a map (HxW)."""
 
 Size = tuple[int, int]
 """Height and width, px."""
 
 
 def of_box(x1: float, y1: float, x2: float, y2: float, size: Size) -> Pixels:
-    """All pixels of a picture that a box touches."""
+    """All pixels that a box touches."""
     rows = slice(max(0, math.floor(y1)), max(0, min(size[0], math.ceil(y2))))
     return rows, slice(max(0, math.floor(x1)), max(0, min(size[1], math.ceil(x2))))
 
 
 def of_polygons(polygons: Sequence[Any], size: Size) -> Pixels:
-    """The pixels whose centres lie in any of some polygons (each x1, y1, x2, y2, x3, y3, …); of a
-    sliver without any centre, those of its box.
+    """Pixels whose centres lie in any of the polygons (each x1, y1, x2, y2, x3, y3, …); if none do,
+    as in a sliver, the pixels of their box.
     """
     from skimage.draw import polygon
 
@@ -41,15 +41,15 @@ def of_polygons(polygons: Sequence[Any], size: Size) -> Pixels:
 
 
 def of_runs(counts: str | Sequence[int], size: Size) -> Pixels:
-    """The pixels of COCO's run lengths: down the columns, beginning outside."""
+    """Pixels of COCO's run lengths: down the columns, beginning outside."""
     runs = _decompressed(counts) if isinstance(counts, str) else counts
     inside = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
     return inside.reshape(size[::-1]).T
 
 
 def _decompressed(text: str) -> list[int]:
-    """COCO's compressed run lengths: numbers of 5 bits a letter, least first, with their sign; from
-    the fourth on, differences to the number before the last (Lin et al., maskApi.c).
+    """Run lengths of COCO's compressed text: signed numbers of 5 bits a letter, lowest first. From
+    the fourth on they are differences to the second last (Lin et al., maskApi.c).
     """
     counts: list[int] = []
     for letters in re.findall("[P-o]*[0-O]", text):  # the last one lacks the bit of 32

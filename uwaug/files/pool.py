@@ -1,4 +1,4 @@
-"""Work on many pictures by the cores of one machine."""
+"""Work on many pictures in processes of one machine."""
 
 import multiprocessing
 import os
@@ -17,22 +17,19 @@ from threadpoolctl import threadpool_limits
 
 from uwaug._support.threads import one_thread
 
-_AHEAD = 2
-"""Jobs for each process that are handed out before the first of them is done."""
-
-_work: Callable[[Any], Any] | None = None
-"""Of a process of a pool."""
+_JOBS_AHEAD = 2  # jobs for each process that are handed out before the first of them is done
+_work: Callable[[Any], Any] | None = None  # the work of this process, if it is of a pool
 
 
 def on_processes(work: Any, jobs: Iterable[Any], workers: int) -> Iterator[Any]:
-    """Results of jobs, in their order; with one worker, of this process.
+    """Results of jobs, in their order; with one worker, by this process.
 
-    Where a process dies, as decoders of damaged files and a full memory can make it, each job that
-    was under way is done once more in a process of its own.
+    Decoders of damaged files and a full memory can make a process die. Then each job under way is
+    done once more, in a process for it alone.
 
     Args:
-        work: called with each job, one at a time in a process; it can be pickled. `work.died(job)`
-            is the result of a job that its process has died over.
+        work: callable for one job, which can be pickled; `work.died(job)` gives the result of a job
+            that its process has died over.
     """
     if workers == 1:
         with one_thread():
@@ -47,7 +44,7 @@ def on_processes(work: Any, jobs: Iterable[Any], workers: int) -> Iterator[Any]:
             for job in remaining:
                 under_way.append(job)
                 futures.append(pool.submit(_call, job))
-                if len(futures) == _AHEAD * workers:
+                if len(futures) == _JOBS_AHEAD * workers:
                     yield futures.popleft().result()
                     under_way.popleft()
             while futures:
@@ -63,7 +60,7 @@ def on_processes(work: Any, jobs: Iterable[Any], workers: int) -> Iterator[Any]:
 
 
 def alone(work: Any, job: Any) -> Any:
-    """The result of a job in a process of its own, which may die over it."""
+    """The result of a job in a separate process, which may die over it."""
     try:
         with _pool(work, 1) as pool:
             return pool.submit(_call, job).result()
@@ -82,12 +79,12 @@ def _pool(work: Any, workers: int) -> ProcessPoolExecutor:
 
 
 def _begin(work: Any) -> None:
-    """What each process does first."""
+    """Prepare a process of a pool."""
     global _work  # noqa: PLW0603  (it is of the process)
     _work = work
     torch.set_num_threads(1)
     threadpool_limits(1)
-    # Ctrl-C is for the process that started it, which lets the jobs under way be finished
+    # Ctrl-C is for the parent, which lets the jobs under way be finished
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -98,7 +95,7 @@ def _call(job: Any) -> Any:
 
 
 def _end_with_parent() -> None:
-    """A process would else wait for ever for the next job of a parent that was killed."""
+    """End with the parent: this process would wait for ever for jobs of one that was killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

@@ -1,4 +1,4 @@
-"""Before a run: what there is to doubt about its maps, and waters like photographs."""
+"""Preparation of a run: doubts about its maps, and waters like photographs."""
 
 import warnings
 from collections.abc import Sequence
@@ -21,41 +21,36 @@ from uwaug.files.recipe import Recipe
 from uwaug.files.record import reason_of
 from uwaug.transforms.like import like
 
-_SAMPLES = 8
-"""Pictures of a run that are looked at, from the first to the last."""
+_SAMPLE_COUNT = 8  # pictures that are looked at, spread over the run
 
 
 def prepare(
     recipe: Recipe, items: Sequence[Item], references: Sequence[Path] = ()
 ) -> tuple[Recipe, list[str]]:
-    """Look at eight pictures of a run, of films at the middle frame of each, before it begins.
-    Those that cannot be read are left to the run, which names them.
+    """Look at eight pictures of a run, or the middle frames of eight films, before it begins.
+    Refuses a run if most of these maps are refused, with the reason for the first. Pictures that
+    cannot be read are left to the run, which names them.
 
     Args:
         recipe, items: as for `degrade`.
         references: photographs taken under water that pictures shall look like, see `uwaug.like`.
 
     Returns:
-        The recipe to run, which draws waters like those of the references; and sentences: what
-        speaks against the maps, see `uwaug.distance.doubts`, and how near the waters come.
-
-    Raises:
-        ValueError: if most of these maps are refused, with what is said of the first.
-        OSError: if a reference cannot be read.
+        The recipe to run, which draws waters like those of the references; and sentences to tell:
+        doubts about the maps, see `uwaug.distance.doubts`, and the nearness of the waters.
     """
     if recipe.sequence:  # the frames of a film are one witness, and in one water
         items = list(dict.fromkeys(film.candidates[0] for film in frames_of(items).values()))
-    some = items[:: -(-len(items) // _SAMPLES) or 1]
-    samples = _samples(recipe, some)
-    refused = [sample.refused for sample in samples if sample.refused]
+    samples = _samples(recipe, items[:: -(-len(items) // _SAMPLE_COUNT) or 1])
+    reasons = [sample.reason for sample in samples if sample.reason]
     sentences = _doubts(recipe, samples)
     if recipe.sequence and isinstance(recipe.transform.distance, (Relative, Inverse)):
         sentences.append(
             "each frame's map is stretched from near to far on its own: a film pumps where things "
             "come and go, unless its maps are metres"
         )
-    if 2 * len(refused) > len(samples):
-        raise ValueError("; ".join([refused[0], *sentences]))
+    if 2 * len(reasons) > len(samples):
+        raise ValueError("; ".join([reasons[0], *sentences]))
     if grey := [s.item.name for s in samples if bool((s.image == s.image[:1]).all())]:
         got = f"{len(grey)} of {len(samples)} pictures looked at are grey, such as {grey[0]}"
         cure = "R = G = B, they come out in colour; if they are maps, name them by --distance"
@@ -63,25 +58,25 @@ def prepare(
     if not references:
         return recipe, sentences
     photographs = [read_picture(path) for path in references]
-    good = [sample for sample in samples if not sample.refused]
-    images, maps = [s.image for s in good], [s.z for s in good if s.z is not None]
+    accepted = [sample for sample in samples if not sample.reason]
+    images, maps = [s.image for s in accepted], [s.z for s in accepted if s.z is not None]
     with one_thread(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # all that there is to say is in what is returned
+        warnings.simplefilter("ignore")  # the sentences say it all
         augment, seed = recipe.transform, recipe.seed
         transform = like(photographs, images, maps or None, augment=augment, seed=seed)
     assert transform.nearness is not None
-    near = f"like {', '.join(map(str, references))}: {transform.nearness}"
-    sentences += filter(None, (near, transform.nearness.doubt))
+    nearness = f"like {', '.join(map(str, references))}: {transform.nearness}"
+    sentences += filter(None, (nearness, transform.nearness.doubt))
     return replace(recipe, transform=transform), sentences
 
 
 class _Sample(NamedTuple):
-    """A picture (3xHxW) that is looked at, its map, and why that is refused."""
+    """A picture (3xHxW), its map (1xHxW), and the reason for which that is refused, or ""."""
 
     item: Item
     image: Tensor
     z: Tensor | None
-    refused: str
+    reason: str
 
 
 def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
@@ -94,54 +89,56 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
             continue
         with warnings.catch_warnings(), suppress(Exception):  # decoders raise whatever they like
             warnings.simplefilter("ignore")
-            image, z, refused = read_picture(item.picture), None, ""
+            image, z, reason = read_picture(item.picture), None, ""
             try:
                 z = recipe.read_map(item)
                 if z is not None:
-                    (drawn,) = recipe.drawn(item.name, 0)["samples"]
-                    source.metres(z, image, drawn["distance"])
+                    (draw,) = recipe.drawn(item.name, 0)["samples"]
+                    source.metres(z, image, draw["distance"])
                     if isinstance(source, Metres) and source.holes == "error":
-                        _require_told(z)
+                        _require_range(z)
             except Exception as error:
-                refused = reason_of(error)
-                if not refused.startswith(str(item.distance)):
-                    refused = f"{item.distance}: {refused}"
-            samples.append(_Sample(item, image, z, refused))
+                reason = reason_of(error)
+                if not reason.startswith(str(item.distance)):
+                    reason = f"{item.distance}: {reason}"
+            samples.append(_Sample(item, image, z, reason))
     return samples
 
 
-def _require_told(z: Tensor) -> None:
-    """Refuse a map with a number that may be what a depth camera did not see, of which nothing is
-    said; in a training it is only warned of.
+def _require_range(z: Tensor) -> None:
+    """Refuse a map with a number that a depth camera may write where it has seen nothing. In a
+    training it is only warned of.
     """
-    alone = of_metres(z) & (z < NO_RANGE)
-    if bool(alone.any()):
-        raise ValueError(in_words(z, alone))
+    mask = of_metres(z) & (z < NO_RANGE)
+    if bool(mask.any()):
+        raise ValueError(in_words(z, mask))
 
 
 def _doubts(recipe: Recipe, samples: Sequence[_Sample]) -> list[str]:
+    """Sentences on maps that may be of another kind or unit."""
     pairs = [(s.z, s.image) for s in samples if s.z is not None]
     maps, images = [z for z, _ in pairs], [image for _, image in pairs]
     if isinstance(recipe.transform.distance, Metres):
         return doubts(maps, images)
-    shown = [evidence(z, image) for z, image in pairs]
-    sentences = [each.size for each in shown if each.size][:1]
-    is_said = getattr(recipe.transform.distance, "holes", "error") != "error"
-    cure = "they get what --holes says" if is_said else ""
-    sentences += [in_words(z, alone, cure) for z in maps if (alone := of_shares(z)).any()][:1]
-    disparities = sum(each.convexity < REVERSED for each in shown)
-    if 2 * sum(map(_like_mm, maps)) <= len(maps) or 2 * disparities > len(maps):
+    clues = [evidence(z, image) for z, image in pairs]
+    sentences = [clue.size for clue in clues if clue.size][:1]
+    has_holes = getattr(recipe.transform.distance, "holes", "error") != "error"
+    cure = "they get what --holes says" if has_holes else ""
+    sentences += [in_words(z, mask, cure) for z in maps if (mask := of_shares(z)).any()][:1]
+    disparities = sum(clue.convexity < REVERSED for clue in clues)
+    if 2 * sum(map(_may_be_mm, maps)) <= len(maps) or 2 * disparities > len(maps):
         return sentences
     return [
         "relative or inverse maps hold whole numbers of less than a tenth of what 16 bits do, as "
-        "those in mm: leave out distance.kind and give --unit mm (Metres(), divide by 1000)",
+        "those in mm: leave out distance.kind and give --unit mm (Metres(), divide by 1000)"
     ]
 
 
-def _like_mm(shares: Tensor) -> bool:
-    """Whether a map that was read without unit spans next to nothing of 0…1, in whole numbers."""
+def _may_be_mm(shares: Tensor) -> bool:
+    """True if a map that was read without unit holds whole numbers in less than a tenth of 0…1."""
     numbers = 65535 * shares[shares > 0]
-    some = numbers[:: max(1, numbers.numel() // 4096)].sort().values
-    few, rounded = some.numel() // 100, some.round()
-    narrow = some.numel() >= 64 and float(some[-1 - few] - some[few]) < 6554
-    return narrow and len(set(rounded.tolist())) > 16 and torch.allclose(some, rounded, 0, 0.01)
+    sample = numbers[:: max(1, numbers.numel() // 4096)].sort().values
+    margin, rounded = sample.numel() // 100, sample.round()
+    is_narrow = sample.numel() >= 64 and float(sample[-1 - margin] - sample[margin]) < 6554
+    has_numbers = len(set(rounded.tolist())) > 16
+    return is_narrow and has_numbers and torch.allclose(sample, rounded, 0, 0.01)

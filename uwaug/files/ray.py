@@ -1,4 +1,4 @@
-"""Work on many pictures by Ray: on the cores of this machine, or of a cluster."""
+"""Work on many pictures by Ray, on this machine or on a cluster."""
 
 import logging
 import os
@@ -14,13 +14,10 @@ from threadpoolctl import threadpool_limits
 from uwaug._support.extras import require
 from uwaug.files.pool import alone
 
-_BLOCK = 16
-"""Jobs that are handed to a process at once, at most."""
-
-_SHARE = 0.5
-"""Of a core, that each process asks for. It uses a whole one; but if processes asked for all of
-them, what reads the jobs would wait for ever.
-"""
+_MAX_BLOCK = 16  # jobs that are handed to a process at once
+# Share of a core that each process asks for. It uses a whole one; but if processes asked for all
+# cores, the reader of the jobs would wait for ever.
+_CORE_SHARE = 0.5
 
 _SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
@@ -33,11 +30,11 @@ def on_ray(work: Any, jobs: Sequence[Any], address: str, workers: int) -> Iterat
     """Results of jobs, in their order, as of `uwaug.files.pool.on_processes`.
 
     Args:
-        work, jobs: as there. Files that jobs name must be there on every machine.
+        work, jobs: as of `on_processes`. Every machine needs the files that jobs name.
         address: "local" starts Ray on this machine, and ends it with the run; "auto" finds a
-            cluster that this machine is part of; or host:port. Where Ray has been started in this
-            process, that is taken.
-        workers: cores of "local".
+            cluster that this machine is part of; or host:port. A Ray that was started in this
+            process is used first.
+        workers: number of cores for "local".
 
     Raises:
         ImportError: if Ray is not installed.
@@ -48,7 +45,7 @@ def on_ray(work: Any, jobs: Sequence[Any], address: str, workers: int) -> Iterat
     with _connected(ray, address, workers):
         cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
         # some blocks for each process, so that none of them works alone at the end
-        size = max(1, min(_BLOCK, len(jobs) // (8 * cores)))
+        size = max(1, min(_MAX_BLOCK, len(jobs) // (8 * cores)))
         remaining, blocks = iter(jobs), []
         while block := list(islice(remaining, size)):
             pickled = pa.array([pickle.dumps(block)], pa.large_binary())
@@ -62,7 +59,7 @@ def on_ray(work: Any, jobs: Sequence[Any], address: str, workers: int) -> Iterat
             compute=data.ActorPoolStrategy(size=cores),
             batch_size=1,
             batch_format="pyarrow",
-            num_cpus=_SHARE if cores > 1 else 0,
+            num_cpus=_CORE_SHARE if cores > 1 else 0,
         )
         try:
             for row in mapped.iter_rows():
@@ -73,7 +70,7 @@ def on_ray(work: Any, jobs: Sequence[Any], address: str, workers: int) -> Iterat
 
 @contextmanager
 def _connected(ray: Any, address: str, workers: int) -> Iterator[None]:
-    """Ray, for as long as it is needed."""
+    """Start Ray or connect to it, unless this process has, and end that after use."""
     if ray.is_initialized():
         yield
         return
@@ -103,7 +100,7 @@ class _Process:
         threadpool_limits(1)
         os.chdir(folder)  # where paths are from
         self._work = work
-        # what it died over may come again: from now on, each job has a process of its own
+        # the job that it died over may come again: from now on, each job has a separate process
         self._careful = bool(ray.get_runtime_context().was_current_actor_reconstructed)
 
     def __call__(self, batch: Any) -> Any:
@@ -112,6 +109,6 @@ class _Process:
         results = []
         for row in batch["jobs"].to_pylist():
             jobs = pickle.loads(row)
-            done = [alone(self._work, job) if self._careful else self._work(job) for job in jobs]
-            results.append(pickle.dumps(done))
+            block = [alone(self._work, job) if self._careful else self._work(job) for job in jobs]
+            results.append(pickle.dumps(block))
         return pa.table({"results": pa.array(results, pa.large_binary())})

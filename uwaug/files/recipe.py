@@ -1,4 +1,4 @@
-"""What is done to every picture of a run."""
+"""The recipe of a run: its transform, and the options of files."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,22 +21,21 @@ from uwaug.transforms.samples import key_of
 @plain
 @dataclass(frozen=True)
 class Recipe:
-    """What is done to every picture of a run. With the name of a picture and the number of a
-    variant, all that is random follows from it.
+    """Transform and options of a run. All random numbers follow from it, the name of a picture and
+    the number of a variant.
 
     Attributes:
-        transform: what puts pictures under water.
-        unit: of distances in files, see `read_distance`, where the transform takes metres.
-        seed: of all that is random.
-        variants: of each picture.
-        labels: a file or a folder of labels, see `open_labels`; None for none.
-        min_contrast: labels of objects of which less contrast is left, 0…1, are left out; None
-            keeps all.
-        sequence: whether the pictures of a folder are frames of one film, in the order of their
+        transform: transform that puts pictures under water.
+        unit: unit of distances in files, see `read_distance`, where the transform takes metres.
+        seed: seed of all random numbers.
+        variants: number of variants of each picture.
+        labels: file or folder of labels, see `open_labels`; None without labels.
+        min_contrast: least contrast left of an object, 0…1, for its label to be kept; None keeps
+            all labels.
+        sequence: True if the pictures of a folder are frames of one film, in the order of their
             names: one draw for all, settled on one of them (see `RandomUnderwater.for_clip`).
-        drift: m by which the field of a sequence drifts from frame to frame; .004 is .1 m/s at 25
-            frames a second.
-        quality: of pictures that are written as JPEG, 1…100.
+        drift: drift of a sequence's field, m a frame; .004 is .1 m/s at 25 frames a second.
+        quality: quality of JPEG, 1…100.
 
     Raises:
         TypeError, ValueError: if a value does not suit.
@@ -65,7 +64,7 @@ class Recipe:
         checks.within("quality", self.quality, 1, 100)
 
     def drawn(self, name: str, variant: int) -> Record:
-        """All that is random about a picture."""
+        """The draw of a picture: all its random numbers."""
         generator = torch.Generator().manual_seed(key_of(self.seed, variant, name))
         return self.transform.make_params(torch.empty(3, 1, 1), generator)
 
@@ -84,14 +83,14 @@ class Recipe:
         return read_picture(item.picture, space), self.read_map(item)
 
     def write(self, path: Path, image: Tensor, picture: Path) -> None:
-        """Write what the transform of a picture has made of it."""
-        own = self.transform.development.color_space
+        """Write the result (3xHxW) of the transform of a picture."""
+        default = self.transform.development.color_space
         space = self.transform_of(picture).development.color_space
-        if space != own and path.suffix.lower() != ".exr":
-            image, space = linear_to_srgb(image.clamp(0, 1)), own
+        if space != default and path.suffix.lower() != ".exr":
+            image, space = linear_to_srgb(image.clamp(0, 1)), default
         write_picture(path, image, self.quality, space)
 
     def read_map(self, item: Item) -> Tensor | None:
-        """The map alone."""
+        """The map (1xHxW) of an item, where it has one."""
         unit = self.unit if isinstance(self.transform.distance, Metres) else None
         return None if item.distance is None else read_distance(item.distance, unit)

@@ -1,4 +1,4 @@
-"""The record beside each result of a run: what it was made of, and all that was drawn for it."""
+"""The record beside each result of a run: its sources, and all its random numbers."""
 
 import csv
 import hashlib
@@ -8,15 +8,14 @@ from typing import Any
 
 from uwaug._support.atomic import require_regular, written_whole
 
-_KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance")
-"""What every record has."""
+_KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance")  # of every record
 
 COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
-"""Of the index of a run."""
+"""Columns of the index of a run."""
 
 
 def record_path(result: Path) -> Path:
-    """Of the record of a result."""
+    """Path of the record of a result."""
     return result.with_name(result.name + ".json")
 
 
@@ -31,7 +30,7 @@ def read_record(path: Path) -> dict[str, Any]:
     """Read a record.
 
     Raises:
-        ValueError: if the file is none; names it.
+        ValueError: if the file is no record; the error names it.
         OSError: if it cannot be read.
     """
     try:
@@ -44,7 +43,7 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def places_of(folder: Path) -> list[str] | None:
-    """What the index of a run in a folder says that it has written; None where there is none."""
+    """Outputs in the index of a run in a folder; None without an index."""
     try:
         with (folder / "index.csv").open(encoding="utf-8", errors="replace", newline="") as file:
             rows = csv.DictReader(file)
@@ -55,7 +54,7 @@ def places_of(folder: Path) -> list[str] | None:
 
 
 def is_written(result: Path) -> bool:
-    """Whether a run has written a file: its record lies beside it, or, of a sheet, its index."""
+    """True if a run has written a file: a record lies beside it, or an index beside a sheet."""
     if result.name == "sheet.jpg" and places_of(result.parent) is not None:
         return True
     try:
@@ -66,9 +65,7 @@ def is_written(result: Path) -> bool:
 
 
 def digest(path: Path) -> str | None:
-    """SHA-256 of a file, by which another of the same name is told from it; None of one that cannot
-    be read.
-    """
+    """SHA-256 of a file; None if it cannot be read."""
     try:
         require_regular(path)
         with path.open("rb") as file:
@@ -78,7 +75,7 @@ def digest(path: Path) -> str | None:
 
 
 def reason_of(error: Exception) -> str:
-    """An error in words, with its kind if none of our checks has raised it."""
+    """An error in words, with its kind if no check of this package has raised it."""
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, (ValueError, OSError, ImportError)) and str(error):

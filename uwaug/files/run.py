@@ -1,6 +1,4 @@
-"""Runs over folders, whatever is made of each picture: by processes or Ray, resumed after a stop,
-with a record beside each result and an index of all.
-"""
+"""Runs over folders, by processes or Ray, with a record beside each result and an index of all."""
 
 import os
 import warnings
@@ -33,13 +31,13 @@ from uwaug.files.summary import Result, Summary
 from uwaug.transforms.random_water import Reached
 
 Progress = Callable[[int, int], None]
-"""Is told at the beginning, and after each picture, how many are done, and of how many."""
+"""Function of the numbers of finished and of all pictures, called first and after each picture."""
 
 _FORCE = "force=True (--force) writes over it"
 
 
 class Job(NamedTuple):
-    """A picture of a run; the place of what is made of it is from the folder of the run."""
+    """A picture of a run; `place` is the path of its result below the folder of the run."""
 
     item: Item
     place: str
@@ -49,20 +47,20 @@ class Job(NamedTuple):
 
 
 class Work:
-    """What a run makes of a picture, in any process; over a file it raises nothing. A subclass says
-    what a result follows from, makes it, and writes it.
+    """The work of a run on a picture, in any process. A failure is a result, too: nothing raises. A
+    subclass says what a result follows from, makes it, and writes it.
 
     Args:
-        out: the folder of the run.
-        resume: leave what was made of the same as it is, and refuse to write over anything else.
-        force: write over it.
+        out: folder of the run.
+        resume: keep results of the same sources, and refuse to write over others.
+        force: write over them.
     """
 
     def __init__(self, out: Path, *, resume: bool, force: bool) -> None:
         self.out, self.resume, self.force = out, resume, force
 
     def made_of(self, job: Job) -> dict[str, Any]:
-        """All that a result follows from, as its record has it."""
+        """Sources of a result, as its record has them."""
         return {
             **versions(),
             "name": job.item.name,
@@ -72,7 +70,7 @@ class Work:
         }
 
     def make(self, job: Job) -> tuple[Any, dict[str, Any]]:
-        """A result, and what its record holds besides."""
+        """A result, and the other entries of its record."""
         raise NotImplementedError
 
     def write(self, path: Path, result: Any, item: Item) -> None:
@@ -84,44 +82,44 @@ class Work:
         return read_picture(path)
 
     def caption(self, path: Path) -> str:
-        """What the sheet says of a result, in two lines at most."""
+        """Caption of a result on the sheet, two lines at most."""
         return ""
 
     def __call__(self, job: Job) -> Result:
-        """What becomes of a job."""
+        """The result of a job."""
         try:
             with warnings.catch_warnings():
-                # each process would warn once of what the summary tells of all
+                # the summary tells it of all; each process would warn once
                 warnings.simplefilter("ignore")
                 return self._done(job)
         except Exception as error:  # decoders raise whatever they like over a damaged file
             return self._failed(job, reason_of(error))
 
     def died(self, job: Job) -> Result:
-        """What becomes of a job that a process has died over."""
+        """The result of a job that a process has died over."""
         return self._failed(job, "the process died over it: out of memory, or a damaged file")
 
     def _failed(self, job: Job, reason: str) -> Result:
         path = self.out / job.place
-        if self.force:  # what was there would pass for the result
+        if self.force:  # an old file would pass for the result
             with suppress(OSError):
                 path.unlink(missing_ok=True)
                 record_path(path).unlink(missing_ok=True)
         return Result(job.item, job.variant, job.place, "failed", reason=reason)
 
     def _done(self, job: Job) -> Result:
-        path, made_of = self.out / job.place, self.made_of(job)
+        path, sources = self.out / job.place, self.made_of(job)
         if self.resume and path.exists() and (not self.force or is_written(path)):
             record = read_record(record_path(path))
-            changed = [name for name, value in made_of.items() if record.get(name) != value]
-            if not changed:
+            changes = [name for name, value in sources.items() if record.get(name) != value]
+            if not changes:
                 return _of_record(job, "skipped", record)
             if not self.force:
-                got = f"{path} was made with another {' and '.join(changed)}"
+                got = f"{path} was made with another {' and '.join(changes)}"
                 raise FileExistsError(f"{got}: choose another folder, or {_FORCE}")
-        result, about = self.make(job)
-        record = {**made_of, **about}
-        # the result goes first and comes last: where it is, all that belongs to it is
+        result, entries = self.make(job)
+        record = {**sources, **entries}
+        # the result goes first and comes last: its record and labels are there wherever it is
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
         write_record(record_path(path), record)
@@ -130,7 +128,7 @@ class Work:
 
 
 def versions() -> dict[str, str]:
-    """Those that a result follows from."""
+    """Versions that a result follows from."""
     return {"uwaug": __version__, "torch": str(torch.__version__)}
 
 
@@ -141,8 +139,8 @@ def _source(path: Path) -> dict[str, Any]:
 def _of_record(job: Job, status: Any, record: dict[str, Any]) -> Result:
     objects = [Judged(**entry) for entry in record.get("objects", [])]
     reached = Reached(**record["reached"]) if record.get("reached") else None
-    contrast, asked = record.get("contrast"), record.get("asked", ())
-    return Result(job.item, job.variant, job.place, status, contrast, objects, reached, asked)
+    contrast, questions = record.get("contrast"), record.get("asked", ())
+    return Result(job.item, job.variant, job.place, status, contrast, objects, reached, questions)
 
 
 def run(
@@ -155,57 +153,46 @@ def run(
     sheet: bool = False,
     progress: Progress | None = None,
 ) -> Summary:
-    """Do some work on each of many pictures.
+    """Do the work on each job.
 
     Args:
-        work, jobs: what to do, and on which pictures.
-        workers: processes; 1: this one, 0: one for each core.
-        ray: address of a Ray cluster, see `on_ray`.
+        work, jobs: the work, and the pictures.
+        workers, ray, sheet, progress: as for `degrade`.
         index: write index.csv.
-        sheet: draw some of the results on sheet.jpg.
-        progress: see `Progress`.
-
-    Raises:
-        ValueError, OSError: as `require_apart`; if the folder holds what another run has written,
-            or cannot be written.
     """
     require_apart(jobs, work.out)
     if index:
-        _require_own(jobs, work.out)
+        _require_same_pictures(jobs, work.out)
         for folder in {(work.out / job.place).parent for job in jobs}:
-            remove_left(folder)  # what a killed run was writing
+            remove_left(folder)  # parts of files of a killed run
     work.out.mkdir(parents=True, exist_ok=True)
     workers = max(1, min(workers or os.cpu_count() or 1, len(jobs)))
     if ray is None:
-        under_way = on_processes(work, jobs, workers)
+        stream = on_processes(work, jobs, workers)
     else:
         from uwaug.files.ray import on_ray
 
-        under_way = on_ray(work, jobs, ray, workers)
+        stream = on_ray(work, jobs, ray, workers)
     results: list[Result] = []
-    say = progress or (lambda done, of: None)
+    say = progress or (lambda count, total: None)
     say(0, len(jobs))
-    for result in under_way:
+    for result in stream:
         results.append(result)
         say(len(results), len(jobs))
     summary = Summary(results)
     if index:
         summary.write_index(work.out / "index.csv")
-    made: dict[Path, list[Path]] = {}
+    variants: dict[Path, list[Path]] = {}
     for result in results:
         if result.status != "failed":
-            made.setdefault(result.item.picture, []).append(work.out / result.place)
-    if sheet and made:
-        write_sheet(work.out / "sheet.jpg", list(made.items()), work.read, work.caption)
+            variants.setdefault(result.item.picture, []).append(work.out / result.place)
+    if sheet and variants:
+        write_sheet(work.out / "sheet.jpg", list(variants.items()), work.read, work.caption)
     return summary
 
 
 def require_free(out: Path, *, resume: bool, force: bool) -> None:
-    """Refuse a file that is there, or a folder that holds something, without `resume` or `force`.
-
-    Raises:
-        FileExistsError: says what to do.
-    """
+    """Refuse an existing file, or a folder that is not empty, without `resume` or `force`."""
     if resume or force:
         return
     cure = f"resume=True (--resume) goes on, or {_FORCE}"
@@ -215,36 +202,28 @@ def require_free(out: Path, *, resume: bool, force: bool) -> None:
         raise FileExistsError(f"{out} is not empty: choose another folder; {cure}")
 
 
-def _require_own(jobs: Sequence[Job], out: Path) -> None:
-    """Refuse, with labels, the folder of a run of other pictures: its labels would be lost.
-
-    Raises:
-        FileExistsError: says what to do.
-    """
+def _require_same_pictures(jobs: Sequence[Job], out: Path) -> None:
+    """Refuse the folder of a run of other pictures, whose labels would be lost."""
     if all(job.labels is None for job in jobs):
         return
-    others = {*(places_of(out) or ())} - {job.place for job in jobs}
-    if stale := sorted(place for place in others if (out / place).exists()):
+    places = {*(places_of(out) or ())} - {job.place for job in jobs}
+    if stale := sorted(place for place in places if (out / place).exists()):
         got = f"{out} holds {len(stale)} pictures that this run does not make, such as {stale[0]}"
         raise FileExistsError(f"{got}: remove them and index.csv, or choose another folder")
 
 
 def require_apart(jobs: Sequence[Job], out: Path) -> None:
-    """Refuse two results in one file, and to write over what is read.
-
-    Raises:
-        ValueError: names the files.
-    """
-    read = {os.path.realpath(job.item.picture) for job in jobs}
-    read |= {os.path.realpath(job.item.distance) for job in jobs if job.item.distance is not None}
-    written: dict[str, Path] = {}
+    """Refuse two results in one file, and to write over a file that is read."""
+    files = [file for job in jobs for file in (job.item.picture, job.item.distance)]
+    inputs = {os.path.realpath(file) for file in files if file is not None}
+    outputs: dict[str, Path] = {}
     for job in jobs:
         output = os.path.realpath(out / job.place)
-        if output in read:
+        if output in inputs:
             raise ValueError(f"{output} is read, and would be written over: another folder?")
         # files of labels are found by a picture's name without its end
         key = output if job.labels is None else os.path.splitext(output)[0]
-        if key in written:
-            both = f"{written[key]} and {job.item.picture}"
-            raise ValueError(f"{both} would both be written to {key}: rename one")
-        written[key] = job.item.picture
+        if key in outputs:
+            pair = f"{outputs[key]} and {job.item.picture}"
+            raise ValueError(f"{pair} would both be written to {key}: rename one")
+        outputs[key] = job.item.picture

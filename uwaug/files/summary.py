@@ -1,4 +1,4 @@
-"""What became of a run."""
+"""Results of runs."""
 
 import csv
 from collections.abc import Sequence
@@ -19,21 +19,21 @@ ASKED = {
     "alone": "have maps with 0, or another end, a gap away from all other values: unknown? --holes "
     "behind; sky? --holes far",
 }
-"""What there is to ask of a picture of which one cannot be sure."""
+"""Questions on pictures that may be wrong, by their key in records."""
 
 
 class Result(NamedTuple):
-    """What became of a picture.
+    """Result of a picture.
 
     Attributes:
-        item, variant: which picture.
-        place: of the file that was written, below the folder of the run.
-        status: "written"; "skipped", as it has been made before, of the same; "failed".
-        contrast: mean share of contrast that is left; None if it failed, and of maps.
-        objects: of the picture, if there are labels.
-        reached: what it took to reach the contrast asked for, if one was.
-        asked: what there is to ask of it, see `ASKED`.
-        reason: why it failed.
+        item, variant: the picture.
+        place: path of the written file below the folder of the run.
+        status: "written"; "skipped", as the same was made before; "failed".
+        contrast: mean share of contrast that is left, 0…1; None if it failed, and for maps.
+        objects: labelled objects of the picture.
+        reached: changes that reached the wanted contrast; None without one.
+        asked: keys of `ASKED` that apply.
+        reason: reason of a failure.
     """
 
     item: Item
@@ -49,20 +49,20 @@ class Result(NamedTuple):
 
 @dataclass(frozen=True)
 class Summary:
-    """What became of a run: the `Result` of each picture, in the order of items and variants; and
-    notes, what there is to say of its labels.
+    """Result of a run: the `Result` of each picture, in the order of items and variants, and notes
+    on the labels.
     """
 
     results: Sequence[Result]
     notes: Sequence[str] = ()
 
     def count(self, status: str) -> int:
-        """How many pictures have a status of `Result`."""
+        """Number of pictures with a status of `Result`."""
         return sum(result.status == status for result in self.results)
 
     @property
     def failures(self) -> list[str]:
-        """What went wrong: each begins with a picture's name."""
+        """Reasons of failures, each after a picture's name."""
         return [
             r.reason if r.reason.startswith(r.item.name) else f"{r.item.name}: {r.reason}"
             for r in self.results
@@ -71,23 +71,23 @@ class Summary:
 
     @property
     def blank(self) -> list[str]:
-        """Names of pictures in which next to nothing is left to see, less than 3 % of the contrast:
-        distances may be in another unit, or the water too turbid.
+        """Names of pictures with less than 3 % of the contrast left. Distances may be in another
+        unit, or the water too turbid.
         """
         shares = [(result.item.name, result.contrast) for result in self.results]
         return [name for name, share in shares if share is not None and share < FAINT]
 
     @property
     def odd(self) -> list[str]:
-        """What is odd about pictures whose contrast it took odd distances or contents to reach, or
-        that did not reach it, see `RandomUnderwater`: each begins with a name.
+        """Sentences on pictures that reach the wanted contrast by odd distances or contents, or do
+        not reach it, each after a name; see `RandomUnderwater`.
         """
-        named = [(result.item.name, result.reached) for result in self.results]
-        return [f"{name}: {reached.odd}" for name, reached in named if reached and reached.odd]
+        pairs = [(result.item.name, result.reached) for result in self.results]
+        return [f"{name}: {reached.odd}" for name, reached in pairs if reached and reached.odd]
 
     @property
     def asked(self) -> list[str]:
-        """What there is to ask of some pictures, see `ASKED`, with their number and a name."""
+        """Questions of `ASKED` that apply, with the number of pictures and a name."""
         sentences = []
         for key, question in ASKED.items():
             names = list(dict.fromkeys(r.item.name for r in self.results if key in r.asked))
@@ -97,7 +97,7 @@ class Summary:
 
     @property
     def objects(self) -> tuple[int, int]:
-        """How many labels there were, and how many of them were kept."""
+        """Numbers of all labels, and of kept ones."""
         kept = [judged.kept for result in self.results for judged in result.objects]
         return len(kept), sum(kept)
 
@@ -108,5 +108,5 @@ class Summary:
             writer.writerow(COLUMNS)
             for result in self.results:
                 item = result.item
-                where = [item.name, result.variant, item.picture, item.distance, result.place]
-                writer.writerow([*where, result.contrast, result.status, result.reason])
+                files = [item.name, result.variant, item.picture, item.distance, result.place]
+                writer.writerow([*files, result.contrast, result.status, result.reason])

@@ -23,15 +23,10 @@ from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
 from uwaug.files.summary import Summary
-from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
-from uwaug.transforms.random_water import Reached
 
-_SAMPLED = 128
-"""Rows, and columns, about, at which the mean contrast of a picture is taken."""
-
-_DARK = 1 / 8
-"""Of white: all of a picture of 12 bits in 16 is darker."""
+_CONTRAST_ROWS = 128  # rows of the short side, about, that give the mean contrast of a picture
+_DARK_LIGHT = 1 / 8  # share of white that no value of a picture of 12 bits in 16 reaches
 
 
 def degrade(
@@ -48,22 +43,22 @@ def degrade(
 ) -> Summary:
     """Put pictures in files under water.
 
-    Each picture gets a record beside it, from which `replay` makes it again; index.csv tells of
-    all. The same recipe and name give the same bytes, whatever the number of workers, their order,
-    and interruptions. A picture that fails does not stop the others.
+    Each picture gets a record beside it, from which `replay` makes it again; index.csv lists all.
+    The same recipe and name give the same bytes, whatever the number of workers, their order, and
+    interruptions. A picture that fails does not stop the others.
 
     Args:
-        recipe: what is done to each picture.
-        items: which pictures, see `find_items`.
-        out: a folder, made if need be; or, for one picture, the file to write.
-        workers: processes; 1: this one, 0: one for each core.
-        resume: go on where a run was stopped: what the same recipe has made of the same files is
-            left as it is.
-        force: write over what is there.
+        recipe: transform and options.
+        items: pictures, see `find_items`.
+        out: folder to write to, made if need be; or, for one picture, the file to write.
+        workers: number of processes; 1: this one, 0: one for each core.
+        resume: go on after a stop; results of the same recipe and files are kept.
+        force: write over existing files.
         sheet: draw some of the results on sheet.jpg.
-        ray: address of a Ray cluster that takes the place of processes: "local", "auto", or
-            host:port. All its machines must see the same folders.
-        progress: is told after each picture how many are done, and of how many.
+        ray: address of a Ray cluster in place of processes: "local", "auto", or host:port. All its
+            machines must see the same folders.
+        progress: function that is called after each picture with the number of finished pictures
+            and of all.
 
     Raises:
         ValueError: if an option does not suit, labels belong to none of the pictures, two pictures
@@ -81,8 +76,8 @@ def degrade(
     require_free(out, resume=resume, force=force)
     if recipe.labels is not None:
         labels = open_labels(recipe.labels, items)
-        masks = [own for own in labels.of.values() if isinstance(own, Path)]
-        items = [item for item in items if item.picture not in set(masks)]
+        masks = {entry for entry in labels.of.values() if isinstance(entry, Path)}
+        items = [item for item in items if item.picture not in masks]
     _require_distances(recipe, items)
     folder = out.parent if single else out
     work = _Underwater(recipe, folder, resume=resume, force=force)
@@ -91,8 +86,9 @@ def degrade(
         work, jobs, workers=workers, ray=ray, index=not single, sheet=sheet, progress=progress
     )
     if labels is not None:
-        done = [result for result in summary.results if result.status != "failed"]
-        summary = replace(summary, notes=[_belonging(labels, items), *labels.finish(done, out)])
+        results = [result for result in summary.results if result.status != "failed"]
+        notes = [_labels_note(labels, items), *labels.finish(results, out)]
+        summary = replace(summary, notes=notes)
     return summary
 
 
@@ -104,54 +100,57 @@ def replay(
     distance: str | Path | None = None,
     force: bool = False,
 ) -> None:
-    """Make a picture again from its record: the same bytes, by the same versions of uwaug and
-    PyTorch, on the same kind of processor.
+    """Make a picture again from its record, to the byte with the same versions of uwaug and PyTorch
+    on the same kind of processor.
 
     Args:
         record: file beside a picture that a run has written.
-        output: the file to write.
-        picture, distance: files that it was made of, if they have moved.
-        force: write over what is there.
+        output: file to write.
+        picture, distance: the picture's sources, if they have moved.
+        force: write over an existing file.
 
     Warns:
         UserWarning: if the record is of other versions.
 
     Raises:
-        ValueError: if the file is no record, or pictures and distances do not suit or have changed.
+        ValueError: if the file is no record, or picture and distances do not suit or have changed.
         FileExistsError: if `output` exists, without `force`.
         OSError: if a file cannot be read or written.
     """
     output = Path(output)
     if output.exists() and not force:
         raise FileExistsError(f"{output} exists: force=True (--force) writes over it")
-    plain = read_record(Path(record))
-    if "recipe" not in plain:
+    entries = read_record(Path(record))
+    if "recipe" not in entries:
         raise ValueError(f"{record}: is no record of a picture under water")
-    made_by = {name: plain[name] for name in ("uwaug", "torch")}
-    if made_by != versions():
-        got = " and ".join(f"{name} {version}" for name, version in made_by.items())
+    record_versions = {name: entries[name] for name in ("uwaug", "torch")}
+    if record_versions != versions():
+        got = " and ".join(f"{name} {version}" for name, version in record_versions.items())
         cure = "defaults and last bits may differ"
         warnings.warn(f"{record} was written by {got}: {cure}", stacklevel=2)
-    recipe = codec.from_plain(plain["recipe"], Recipe)
+    recipe = codec.from_plain(entries["recipe"], Recipe)
     files = []
-    for source, moved in ((plain["picture"], picture), (plain["distance"], distance)):
-        file = source and Path(moved or source["path"])
+    for source, new_path in ((entries["picture"], picture), (entries["distance"], distance)):
+        file = source and Path(new_path or source["path"])
         if file and digest(file) not in (None, source["sha256"]):
             raise ValueError(f"{file} has changed since {record} was written")
         files.append(file)
-    item = Item(plain["name"], *files)
+    item = Item(entries["name"], *files)
     require_apart([Job(item, output.name)], output.parent)
     with one_thread():
         image, z = recipe.read(item)
-        degraded = recipe.transform_of(item.picture).transform(image, z, plain["params"])
+        degraded = recipe.transform_of(item.picture).transform(image, z, entries["params"])
         recipe.write(output, degraded, item.picture)
 
 
-def _belonging(labels: Labels, items: Sequence[Item]) -> str:
-    others = [item.name for item in items if item.name not in labels.of]
-    some = f", not to {others[0]}" + " and others" * (len(others) > 1) if others else ""
-    count = len(items) - len(others)
-    return f"labels, {labels.reads}, belong to {count} of {len(items)} pictures{some}"
+def _labels_note(labels: Labels, items: Sequence[Item]) -> str:
+    """The sentence on the format of labels, and on the pictures that have some."""
+    unlabelled = [item.name for item in items if item.name not in labels.of]
+    rest = ""
+    if unlabelled:
+        rest = f", not to {unlabelled[0]}" + " and others" * (len(unlabelled) > 1)
+    count = len(items) - len(unlabelled)
+    return f"labels, {labels.reads}, belong to {count} of {len(items)} pictures{rest}"
 
 
 class _Underwater(Work):
@@ -164,13 +163,13 @@ class _Underwater(Work):
 
     def made_of(self, job: Job) -> dict[str, Any]:
         space = self.recipe.transform_of(job.item.picture).development.color_space
-        made_of = {**super().made_of(job), "recipe": self._plain, "color_space": space}
+        sources = {**super().made_of(job), "recipe": self._plain, "color_space": space}
         if job.labels is not None:
-            made_of["labels"] = job.labels.digest(job.item.name)
+            sources["labels"] = job.labels.digest(job.item.name)
         if job.frame is not None:
             _, settled_on = self._films.settled(job.frame, job.variant)
-            made_of["frame"] = [job.frame.candidates[0].name, job.frame.number, settled_on]
-        return made_of
+            sources["frame"] = [job.frame.candidates[0].name, job.frame.number, settled_on]
+        return sources
 
     def make(self, job: Job) -> tuple[Tensor, dict[str, Any]]:
         item, labels = job.item, job.labels
@@ -179,10 +178,12 @@ class _Underwater(Work):
         if job.frame is None:
             params = self.recipe.drawn(item.name, job.variant)
         else:
-            params = self._films.drawn(job.frame, job.variant)
-        # for the mean alone some pixels do: all of them take a third of the picture's time
-        step = max(1, min(image.shape[1:]) // _SAMPLED) if labels is None else 1
-        degraded, contrast, reached = _degraded(transform, image, z, params, step)
+            params = self._films.draw(job.frame, job.variant)
+        # some pixels are enough for the mean: all of them take a third of the picture's time
+        step = max(1, min(image.shape[1:]) // _CONTRAST_ROWS) if labels is None else 1
+        scenes = transform.scenes(image, z, params)
+        degraded, contrast = scenes.formed(), scenes.contrast_map(step)
+        reached = scenes.reached(0)
         objects = []
         if labels is not None:
             objects = judged(labels, item.name, contrast, self.recipe.min_contrast)
@@ -193,61 +194,48 @@ class _Underwater(Work):
             "contrast": round(float(contrast.double().mean()), 4),
             "reached": reached and reached._asdict(),
             "objects": [label._asdict() for label in objects],
-            "asked": _asked(item, transform, image, z, labels),
+            "asked": _questions(item, transform, image, z, labels),
         }
 
     def write(self, path: Path, result: Tensor, item: Item) -> None:
         self.recipe.write(path, result, item.picture)
 
     def caption(self, path: Path) -> str:
-        """The scene's median distance and the contrast that is left, on average; its water."""
+        """Median distance and mean contrast of a picture; its water."""
         record = read_record(record_path(path))
         (sample,) = record["params"]["samples"]
         if not sample["applied"]:
             return "left alone"
         reached = record["reached"]
-        metres = [f"{reached['metres']:.2g} m"] if reached else []
+        distance = f"{reached['metres']:.2g} m, " if reached else ""
         water = " + ".join(_short_name(water) for water in sample["water"]["waters"])
-        return ", ".join([*metres, f"contrast {record['contrast']:.2f}"]) + f"\n{water}"
+        return f"{distance}contrast {record['contrast']:.2f}\n{water}"
 
 
 def _short_name(water: str | dict[str, float]) -> str:
-    """The name of a water; contents to two digits, so that a label holds them."""
+    """Name of a water, or its contents to two digits, so that a label holds them."""
     if isinstance(water, str):
         return water
     return ",".join(f"{content}={amount:.2g}" for content, amount in water.items() if amount)
 
 
-def _degraded(
-    transform: RandomUnderwater, image: Tensor, z: Tensor | None, params: Record, step: int
-) -> tuple[Tensor, Tensor, Reached | None]:
-    """A picture under water (3xHxW); the contrast that is left (1xHxW), in every so many rows and
-    columns; and what it took to reach the one asked for.
-    """
-    scenes = transform.scenes(image, z, params)
-    return scenes.formed(), scenes.contrast_map(step), scenes.reached(0)
-
-
-def _asked(
-    item: Item,
-    transform: RandomUnderwater,
-    image: Tensor,
-    z: Tensor | None,
-    labels: Labels | None,
+def _questions(
+    item: Item, transform: RandomUnderwater, image: Tensor, z: Tensor | None, labels: Labels | None
 ) -> list[str]:
-    """What there is to ask of a picture, see `ASKED`."""
-    is_file_of_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
+    """Keys of `ASKED` that apply to a picture."""
     source = transform.distance
-    silent = isinstance(source, (Relative, Inverse)) and source.holes == "error"
+    may_be_12_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
+    may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
     doubts = {
         "turned": (z is not None or labels is not None) and orientation_of(item.picture) > 1,
-        "dark": is_file_of_bits and image.is_floating_point() and float(image.max()) < _DARK,
-        "alone": silent and z is not None and bool(of_shares(z).any()),
+        "dark": may_be_12_bits and image.is_floating_point() and float(image.max()) < _DARK_LIGHT,
+        "alone": may_have_holes and z is not None and bool(of_shares(z).any()),
     }
-    return [key for key, is_so in doubts.items() if is_so]
+    return [key for key, applies in doubts.items() if applies]
 
 
 def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
+    """Refuse pictures without maps where a recipe needs them, and films with guessed distances."""
     source = recipe.transform.distance
     missing = next((item.name for item in items if item.distance is None), None)
     if missing and source.reads_maps:
@@ -259,11 +247,12 @@ def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
 
 
 def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:
+    """A job for each variant of each picture."""
     frames = frames_of(items) if recipe.sequence else {}
     for item in items:
         place = item.name if labels is None else labels.place(item.name)
-        own = None if labels is None else labels.only(item.name)
+        labels_of_item = None if labels is None else labels.only(item.name)
         stem, end = splitext(place)
         for variant in range(recipe.variants):
             number = f"_{variant + 1}" if recipe.variants > 1 else ""
-            yield Job(item, f"{stem}{number}{end}", variant, own, frames.get(item))
+            yield Job(item, f"{stem}{number}{end}", variant, labels_of_item, frames.get(item))

@@ -7,18 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from uwaug.files.labels import Folder, Key, require_size, split_of, write_other
+from uwaug.files.labels import Folder, Key, require_size, split_of, write_labels
 
 if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
-_LISTS = "ImageSets/Main"
-"""Where a data set lists the pictures of each split, by their names without an end."""
+_LISTS = "ImageSets/Main"  # folder of the lists of each split, of names without an end
 
 
 class Voc(Folder):
-    """XML files with boxes, px, of which the first is 1 and the last is inside."""
+    """XML files with boxes, px, counted from 1; the last pixel is inside."""
 
     reads = "a folder of Pascal VOC's .xml"
     end = ".xml"
@@ -57,14 +56,14 @@ class Voc(Folder):
         return ElementTree.tostring(root, encoding="unicode").encode()
 
     def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
-        """Write the lists: those that lie above the labels, else one for each split."""
-        written: dict[str, dict[str, list[str]]] = {}
+        """Write the lists that lie above the labels, else one for each split."""
+        trees: dict[str, dict[str, list[str]]] = {}
         for picture in pictures:
             above, place = self.parted(splitext(picture.place)[0])
             _, name = self.parted(splitext(picture.item.name)[0])
-            written.setdefault(above, defaultdict(list))[name].append(place)
+            trees.setdefault(above, defaultdict(list))[name].append(place)
         notes = []
-        for tree, places in written.items():
+        for tree, places in trees.items():
             folders = (folder / tree / _LISTS for folder in (self.path, self.path.parent))
             files = [file for folder in folders for file in sorted(folder.glob("*.txt"))]
             texts = {file.name: file.read_text(encoding="utf-8-sig") for file in files}
@@ -72,18 +71,18 @@ class Voc(Folder):
             for name in places if not lists else ():
                 split = split_of(name.split("/")[:-1]) or "train"
                 lists.setdefault(f"{split}.txt", []).append(name)
-            for own, lines in lists.items():
-                named = [_parted(line.strip(), places) for line in lines]
-                text = "".join(f"{p}{sign}\n" for name, sign in named for p in places.get(name, ()))
+            for list_name, lines in lists.items():
+                pairs = [_parted(line.strip(), places) for line in lines]
+                text = "".join(f"{p}{sign}\n" for name, sign in pairs for p in places.get(name, ()))
                 if not text:
-                    notes.append(f"no picture is in the list {own}")
-                source = files[0].with_name(own) if files else None
-                write_other(out / tree / _LISTS / own, text.encode(), source)
+                    notes.append(f"no picture is in the list {list_name}")
+                source = files[0].with_name(list_name) if files else None
+                write_labels(out / tree / _LISTS / list_name, text.encode(), source)
         return notes
 
 
 def _parted(line: str, names: Collection[str]) -> tuple[str, str]:
-    """A name of a list; and, in that of a class, the sign after it: 1, 0, or -1 (not there)."""
+    """Name in a line of a list, and the sign after it in the list of a class: 1, 0, -1 (absent)."""
     name, _, sign = line.rpartition(" ")
     is_whole = line in names or sign not in ("1", "0", "-1")
     name = line if is_whole else name.rstrip()

@@ -6,28 +6,29 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from uwaug.files.labels import Entry, Folder, Key, split_of, write_other
+from uwaug.files.labels import Entry, Folder, Key, split_of, write_labels
 
 if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
-_NAMES = ("classes.txt", "obj.names", "_darknet.labels")
-"""Files in which tools leave the names of classes, one a line."""
-
-_PLACES = ("train", "val", "validation", "test", "path", "download")
-"""Keys of a data.yaml that say where pictures are."""
+# Files in which tools leave the names of classes, one a line.
+_CLASS_FILES = ("classes.txt", "obj.names", "_darknet.labels")
+# Keys of a data.yaml with the places of pictures.
+_PLACE_KEYS = ("train", "val", "validation", "test", "path", "download")
 
 
 @dataclass(frozen=True, eq=False)
 class Yolo(Folder):
-    """Text files with one object a line: `class cx cy w h`, after which a confidence may stand, or
-    `class x1 y1 x2 y2 x3 y3 …` of a polygon; all but the class are shares of the picture's width or
-    height. Where the data.yaml has `kpt_shape`, keypoints follow the box.
+    """Text files with one object a line.
+
+    A line is `class cx cy w h`, with or without a confidence, or `class x1 y1 x2 y2 x3 y3 …` for a
+    polygon. All but the class are shares of the picture's width or height. Where the data.yaml has
+    `kpt_shape`, keypoints follow the box.
 
     Attributes:
-        description: what the data.yaml says.
-        described_by: another .yaml that says it.
+        description: content of the data.yaml.
+        described_by: another .yaml that takes its place.
     """
 
     description: Entry = field(default_factory=dict)
@@ -44,11 +45,11 @@ class Yolo(Folder):
             raise ValueError(f"{file}: {error}") from None
 
     def described(self, samples: Sequence[Path]) -> Self:
-        """With data.yaml, beside the labels or above them, or another .yaml with names; and names
-        that stand in a file of their own.
+        """The labels with the content of data.yaml, beside them or above, or of another .yaml with
+        names; and with names in a separate file.
         """
         folders = self.path, self.path.parent, self.path.parent.parent
-        files = [folder / name for folder in (*folders, samples[0].parent) for name in _NAMES]
+        files = [folder / name for folder in (*folders, samples[0].parent) for name in _CLASS_FILES]
         names = next((_lines(file) for file in files if file.is_file()), [])
         names = "\n".join(names).rstrip().splitlines()
         classes: Entry = {"names": names} if names else {}
@@ -78,8 +79,8 @@ class Yolo(Folder):
             try:
                 shares = [float(word) for word in self._words(line)[1:]]
                 shares = shares[:4] if "kpt_shape" in self.description else shares
-                few = len(shares) < 4 or len(shares) % 2
-                if few or not all(-0.5 <= share <= 1.5 for share in shares):
+                is_whole = len(shares) >= 4 and len(shares) % 2 == 0
+                if not is_whole or not all(-0.5 <= share <= 1.5 for share in shares):
                     expected = "expected a class, and shares of width and height, 0…1"
                     raise ValueError(f"{expected}; keypoints need a kpt_shape in data.yaml")
             except ValueError as error:
@@ -93,7 +94,7 @@ class Yolo(Folder):
                 yield number, of_polygons([corners], size)
 
     def _words(self, line: str) -> list[str]:
-        """Those of an object, but for its confidence, which trainers refuse."""
+        """Words of an object without its confidence, which trainers refuse."""
         words, count = line.split(), 5
         if words and "kpt_shape" in self.description:
             points, numbers = self.description["kpt_shape"]
@@ -101,18 +102,18 @@ class Yolo(Folder):
             if len(words) not in (count, count + 1):
                 expected = f"a class, a box and {points} keypoints of {numbers} numbers each"
                 raise ValueError(f"expected {expected}, got {len(words)} numbers")
-        confident = len(words) == count + 1 and 0 <= float(words[-1]) <= 1
-        return words[:count] if confident else words
+        has_confidence = len(words) == count + 1 and 0 <= float(words[-1]) <= 1
+        return words[:count] if has_confidence else words
 
     def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:
         lines = {number: self._words(line) for number, line in enumerate(_lines(source), 1)}
         if not dropped and list(lines.values()) == list(map(str.split, _lines(source))):
             return source.read_bytes()
-        kept = (" ".join(words) for number, words in lines.items() if number not in dropped)
-        return "".join(f"{line}\n" for line in kept).encode()
+        rest = (" ".join(words) for number, words in lines.items() if number not in dropped)
+        return "".join(f"{line}\n" for line in rest).encode()
 
     def _places(self, split: str) -> list[str]:
-        """The folders and files that data.yaml names for a split, also in a list of its own."""
+        """Folders and files that data.yaml names for a split, itself or in a separate list."""
         stated = self.description.get(split) or []
         places = []
         for place in [stated] if isinstance(stated, str) else stated:
@@ -123,8 +124,8 @@ class Yolo(Folder):
         return places
 
     def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
-        """Write data.yaml: the classes as the labels' own has them, or how many there are; and the
-        pictures of each split in a file, as one folder may hold another's.
+        """Write data.yaml, with the classes of the labels or their number, and a list of pictures
+        for each split, as the folder of one split may hold another.
         """
         import yaml
 
@@ -133,49 +134,47 @@ class Yolo(Folder):
         places = {split: self._places(split) for split in ("train", "val", "test")}
         for picture in pictures:
             path = f"{picture.item.picture.absolute().as_posix()}/"
-            # of folders in one another the inner one counts: a data set may lie in one called train
+            # the inner folder counts, as a data set may lie in a folder called train
             starts = {s: max((path.rfind(f"/{p}/") for p in places[s]), default=-1) for s in places}
             last = max(starts.values())
-            own = [split for split, at in starts.items() if at == last >= 0]
-            is_described |= bool(own)
-            for split in own or [split_of(picture.place.split("/")[:-1]) or ""]:
+            stated = [split for split, start in starts.items() if start == last >= 0]
+            is_described |= bool(stated)
+            for split in stated or [split_of(picture.place.split("/")[:-1]) or ""]:
                 splits[split] = f"{splits.get(split, '')}./{picture.place}\n"
-        others = splits.pop("", "")
+        rest = splits.pop("", "")
         if not is_described:
-            splits["train"] += others
-        elif others:
-            count, some = others.count("\n"), others.partition("\n")[0]
-            notes.append(f"{count} pictures are of no split, and in no list, such as {some}")
-        stated = {split: "" for split in places if places[split]}
-        for split in [split for split in splits | stated if not splits.get(split)]:
+            splits["train"] += rest
+        elif rest:
+            count, first = rest.count("\n"), rest.partition("\n")[0]
+            notes.append(f"{count} pictures are of no split, and in no list, such as {first}")
+        described = {split: "" for split in places if places[split]}
+        for split in [split for split in splits | described if not splits.get(split)]:
             splits[split] = splits["train"] if split == "val" else ""  # trainers insist on it
-            other = "nothing" if not splits[split] else "those of train"
-            notes.append(f"no picture is of the split {split}: {split}.txt lists {other}")
+            content = "those of train" if splits[split] else "nothing"
+            notes.append(f"no picture is of the split {split}: {split}.txt lists {content}")
         for split, text in splits.items():
-            write_other(out / f"{split}.txt", text.encode())
-        classes = {key: own for key, own in self.description.items() if key not in _PLACES}
+            write_labels(out / f"{split}.txt", text.encode())
+        classes = {key: x for key, x in self.description.items() if key not in _PLACE_KEYS}
         if not {"names", "nc"} & classes.keys():
-            files = {
-                self.of[picture.item.name] for picture in pictures if picture.item.name in self.of
-            }
-            lines = (line.split() for file in files for line in _lines(file))
+            names = {picture.item.name for picture in pictures} & self.of.keys()
+            lines = (line.split() for name in names for line in _lines(self.of[name]))
             classes["nc"] = max((int(float(words[0])) for words in lines if words), default=0) + 1
-            looked = f"data.yaml, {', '.join(_NAMES)}"
+            looked = f"data.yaml, {', '.join(_CLASS_FILES)}"
             notes.append(f"no names of classes were found ({looked}): nc: {classes['nc']}, counted")
-        content = {split: f"{split}.txt" for split in splits} | classes
-        text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-        write_other(out / "data.yaml", text.encode())
+        entries = {split: f"{split}.txt" for split in splits} | classes
+        text = yaml.safe_dump(entries, sort_keys=False, allow_unicode=True)
+        write_labels(out / "data.yaml", text.encode())
         return notes
 
 
 def _first(file: Path) -> list[float]:
-    """The numbers of the first object of a file; none where there is no object."""
+    """Numbers of the first object of a file; none without objects."""
     words = file.read_text(encoding="utf-8-sig").strip().partition("\n")[0].split()
     return [float(word) for word in words]
 
 
 def _read(file: Path) -> Entry:
-    """What a .yaml says; nothing of one of another name that says something else."""
+    """Content of a .yaml; empty if it is no mapping, unless the file is a data.yaml."""
     import yaml
 
     try:

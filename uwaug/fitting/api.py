@@ -20,23 +20,17 @@ from uwaug.fitting.choose import (
     result_of,
 )
 from uwaug.fitting.data import Geometry, Pictures
-from uwaug.fitting.encoded import haze_of_values
-from uwaug.fitting.model import (
-    COLOURS,
-    EXPONENTS,
-    MODELS,
-    NARROW_PX,
-    CoefficientModel,
-)
+from uwaug.fitting.encoded import encoded_haze_notes
+from uwaug.fitting.model import COLOURS, EXPONENTS, MODELS, NARROW_PX, CoefficientModel
 from uwaug.fitting.result import Fit, Parameter, straight_line
 from uwaug.fitting.solve import Objective, multistart, reweighed, roughly_weighed, solve
 
 Progress = Callable[[str], None]
-PIXELS = (500, 100_000)  # that may be fitted
-_MAX_KNOWN = 1e6  # of numbers that a caller knows
-_NOISE_PIXELS = 4000  # pixels of the fits that noise is first learnt from
-_QUIET_SECONDS = 1.0  # s, after which a fit says what it does
-_POOR = 0.8  # share of the observed variance, below which a model does not explain a picture
+_PIXEL_COUNTS = (500, 100_000)  # least and most pixels of a fit
+_MAX_FIXED = 1e6  # largest value of a fixed number
+_NOISE_PIXELS = 4000  # pixels from which the noise is first estimated
+_QUIET_SECONDS = 1.0  # s, before progress is printed
+_POOR_SHARE = 0.8  # of the observed variance; a model that explains less gets a warning
 _MAX_BETA = 30.0  # 1/m; no natural water attenuates more
 
 
@@ -62,26 +56,25 @@ def fit(
             pictures are of one water and one exposure.
         distance (1xHxW or Bx1xHxW tensor): metres along the ray; pixels that are NaN, 0 or
             negative do not count; +inf is open water.
-        model: "haze" (direct light and veil, one coefficient), "veil" (a coefficient for each), and
-            with forward scatter and a width law "gaussian" and "exponential". "auto" tries all and
-            takes the one of the fewest numbers that foretells pixels which it was not fitted to as
-            well as any (one-standard-error rule, on blocks of the picture).
-        fixed: numbers that are known, by their names in `Fit.parameters`, such as {"G_red": .3}:
-            beta, G, veil of a colour, width, exponent.
-        gain: "free": a factor for each colour, of exposure, white balance and daylight that is
-            lost above the scene, if left-out pixels are foretold better with it. "fixed": the light
-            on the scene, exposure and white balance are those of the clean picture. The factor is
-            part of the light and the veil of `Fit.medium`.
-        color_space: "srgb": numbers refer to the light that values stand for. "linear": values as
-            they are, of linear light, or of a haze that was composed in encoded values, as most
-            published synthesisers do; where such a haze fits better, a fit of "srgb" says so.
-        pixels: how many are fitted, spread evenly over the distances, 500…100 000.
-        seed: of the pixels that are drawn, and of random starts.
-        progress: True: lines on stderr of what a fit does that takes longer than a second; False:
-            none; or a function that is called with each of them.
+        model: "haze" (direct light and veil, one coefficient), "veil" (a coefficient for each), or
+            "gaussian" and "exponential" (forward scatter with a width law, too). "auto" tries all
+            and takes the one with the fewest numbers that predicts left-out blocks of the picture
+            as well as any (one-standard-error rule).
+        fixed: known numbers by their names in `Fit.parameters`, such as {"G_red": .3}: beta, G and
+            veil of a colour, width, exponent.
+        gain: "free": each colour gets a factor for exposure, white balance and daylight lost above
+            the scene, if left-out pixels are predicted better with it. It is part of the light and
+            the veil of `Fit.medium`. "fixed": these are the same as in the clean picture.
+        color_space: "srgb": values are decoded to linear light. "linear": values are taken as they
+            are, be they linear light or a haze composed in encoded values, as most published
+            synthesisers do. A fit of "srgb" says so where such a haze fits better.
+        pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
+        seed: seed of the choice of pixels and of random starts.
+        progress: True: print on stderr what a fit that takes longer than a second is doing; False:
+            print nothing; or a function that is called with each such line.
 
     Returns:
-        The fit: the medium, numbers, errors, what the pictures cannot tell.
+        The fit: the medium, its numbers, their errors, and what the pictures cannot tell.
 
     Raises:
         TypeError, ValueError: if an input does not suit; if fewer than 500 pixels can be used, the
@@ -106,45 +99,44 @@ def fit(
     with one_thread(), torch.inference_mode(False), torch.no_grad():
         say("blurring the clean picture")
         shapes = sorted({x.spec.shape for x in models if x.spec.shape is not None})
-        drawn = pictures.sample(shapes, int(pixels), seed)
+        sample = roughly_weighed(pictures.sample(shapes, int(pixels), seed))
         say("learning the noise")
-        few = roughly_weighed(drawn).subsample(_NOISE_PIXELS, seed)
-        most = max(len(x.bounds) for x in models)
-        scouts = [Objective(x, few) for x in models if len(x.bounds) == most]
+        subset = sample.subsample(_NOISE_PIXELS, seed)
+        size = max(len(x.bounds) for x in models)
+        scouts = [Objective(x, subset) for x in models if len(x.bounds) == size]
         ends = [(x.model, multistart(x, seed=seed)) for x in scouts]
         richest, end = min(ends, key=lambda pair: pair[1].cost)
-        roughly = Objective(richest, roughly_weighed(drawn))
-        weighed, theta = reweighed(roughly, end.theta, pictures.clips)
-        tried: list[FittedModel[CoefficientModel]] = []
+        weighed, theta = reweighed(Objective(richest, sample), end.theta, pictures.clips)
+        candidates: list[FittedModel[CoefficientModel]] = []
         for i, candidate in enumerate(models):
             say(f"fitting {candidate.name!r}, {i + 1} of {len(models)}")
             objective = Objective(candidate, weighed)
             solution = solve(objective, theta) if candidate is richest else None
-            # one that explains less than fewer numbers do has gone astray
-            if solution is None or any(x.solution.cost < solution.cost for x in tried):
-                near = [x.numbers for x in tried[-1:]]
-                solution = multistart(objective, near, seed)
-            tried.append(cross_validated(objective, solution, seed))
-        chosen = one_standard_error_rule(tried)
-        if chosen.model.gain:
+            # a richer model that explains less than a simpler one has gone astray
+            if solution is None or any(x.solution.cost < solution.cost for x in candidates):
+                hints = [x.numbers for x in candidates[-1:]]
+                solution = multistart(objective, hints, seed)
+            candidates.append(cross_validated(objective, solution, seed))
+        winner = one_standard_error_rule(candidates)
+        if winner.model.gain:
             say("fitting without a gain")
-            objective = Objective(replace(chosen.model, gain=False), weighed)
-            solution = multistart(objective, [chosen.numbers], seed)
-            tried.append(cross_validated(objective, solution, seed))
-            chosen = one_standard_error_rule([chosen, tried[-1]])
-        composed = []
+            objective = Objective(replace(winner.model, gain=False), weighed)
+            solution = multistart(objective, [winner.numbers], seed)
+            candidates.append(cross_validated(objective, solution, seed))
+            winner = one_standard_error_rule([winner, candidates[-1]])
+        encoded_notes = []
         if color_space == "srgb":
             say("trying encoded values")
-            composed = haze_of_values(chosen, gain == "free", seed)
-        medium = chosen.model.medium(chosen.solution.theta)
-        result = result_of(chosen, tried, chosen.model.spec.name, medium, pictures)
-    doubts = _doubts(chosen, result.parameters)
-    return replace(result, notes=(*_chosen(chosen, tried), *composed, *result.notes, *doubts))
+            encoded_notes = encoded_haze_notes(winner, gain == "free", seed)
+        medium = winner.model.medium(winner.solution.theta)
+        result = result_of(winner, candidates, winner.model.spec.name, medium, pictures)
+    first = (*_model_notes(winner, candidates), *encoded_notes)
+    return replace(result, notes=(*first, *result.notes, *_doubts(winner, result.parameters)))
 
 
 def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progress:
-    """Refuse what no fit can do; where to say what is being done."""
-    checks.within("pixels", pixels, *PIXELS)
+    """Refuse options that no fit can use. Returns the function that tells the progress."""
+    checks.within("pixels", pixels, *_PIXEL_COUNTS)
     checks.within("seed", seed, 0)
     if callable(progress):
         return progress
@@ -160,57 +152,56 @@ def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progre
 def _models(
     name: str, geometry: Geometry, fixed: Mapping[str, float], *, gain: bool
 ) -> list[CoefficientModel]:
-    """The candidates in which all that is fixed has a place."""
+    """The models of a name, or all for "auto", that have a place for every fixed number."""
     if not isinstance(fixed, Mapping):
         raise TypeError(f"fixed must be a dict of numbers, got {type(fixed).__name__}")
-    all_of_them = [
+    candidates = [
         CoefficientModel(spec, geometry, gain, {})
         for spec in MODELS.values()
         if name in ("auto", spec.name)
     ]
-    models = [x for x in all_of_them if set(fixed) <= set(x.fixable)]
+    models = [x for x in candidates if set(fixed) <= set(x.fixable)]
     if not models:
-        some = ", ".join(all_of_them[-1].fixable)
-        raise ValueError(f"fixed: expected some of {some}, got {', '.join(map(str, fixed))}")
+        names = ", ".join(candidates[-1].fixable)
+        raise ValueError(f"fixed: expected some of {names}, got {', '.join(map(str, fixed))}")
     for key, value in fixed.items():
-        least = EXPONENTS[0] if key == "exponent" else 0.0
-        most = {"width": geometry.widest, "exponent": EXPONENTS[1]}.get(key, _MAX_KNOWN)
-        checks.within(f"fixed[{key!r}]", value, least, most)
+        low = EXPONENTS[0] if key == "exponent" else 0.0
+        high = {"width": geometry.widest, "exponent": EXPONENTS[1]}.get(key, _MAX_FIXED)
+        checks.within(f"fixed[{key!r}]", value, low, high)
     for colour in COLOURS:
         beta, G = fixed.get(f"beta_{colour}"), fixed.get(f"G_{colour}")
         if beta is not None and G is not None and beta < G:
             models = [x for x in models if x.spec.shape is None]
     numbers = {key: float(value) for key, value in fixed.items()}
-    models = [replace(x, fixed=numbers) for x in models]
-    models = [x for x in models if x.bounds]
+    models = [x for x in (replace(x, fixed=numbers) for x in models) if x.bounds]
     if not models:
         raise ValueError(f"fixed: leaves nothing that may be fitted, got {dict(fixed)}")
     return models
 
 
-def _chosen(
-    chosen: FittedModel[CoefficientModel], tried: Sequence[FittedModel[CoefficientModel]]
+def _model_notes(
+    winner: FittedModel[CoefficientModel], candidates: Sequence[FittedModel[CoefficientModel]]
 ) -> list[str]:
-    """Which model it is, and how well it explains the pictures."""
-    best, choice = best_of(tried), ""
-    if len(tried) > 1:
-        choice = " It foretells left-out pixels best."
-        if best is not chosen:
+    """Sentences on the model that was chosen, and on how well it explains the pictures."""
+    best, reason = best_of(candidates), ""
+    if len(candidates) > 1:
+        reason = " It foretells left-out pixels best."
+        if best is not winner:
             name = best.model.name
-            choice = f" The fewest numbers within one standard error of the best, {name!r}."
-    poor = ""
-    if chosen.explained < _POOR:
-        poor = " That is little: are the pictures aligned, of one scene, and in metres?"
+            reason = f" The fewest numbers within one standard error of the best, {name!r}."
+    warning = ""
+    if winner.explained < _POOR_SHARE:
+        warning = " That is little: are the pictures aligned, of one scene, and in metres?"
     return [
-        f"Model {chosen.model.name!r}: {chosen.model.spec.words}.{choice}",
-        f"The residual is {chosen.rms:.2g} RMS of linear light; {100 * chosen.explained:.4g} % of "
-        f"the variance of the observed pixels is explained.{poor}",
+        f"Model {winner.model.name!r}: {winner.model.spec.words}.{reason}",
+        f"The residual is {winner.rms:.2g} RMS of linear light; {100 * winner.explained:.4g} % of "
+        f"the variance of the observed pixels is explained.{warning}",
     ]
 
 
-def _doubts(chosen: FittedModel[CoefficientModel], numbers: Mapping[str, Parameter]) -> list[str]:
-    """What the numbers do not say by themselves."""
-    model, theta = chosen.model, chosen.solution.theta
+def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Parameter]) -> list[str]:
+    """Sentences on what the numbers do not say by themselves."""
+    model, theta = winner.model, winner.solution.theta
     c, geometry, sentences = model.coefficients(theta), model.geometry, []
     if model.spec.shape is None:
         sentences.append(
@@ -233,6 +224,6 @@ def _doubts(chosen: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
     sentences += straight_line(rates, geometry.farthest)
     if c.beta.max() > _MAX_BETA:
         sentences.append(f"β reaches {c.beta.max():.3g}/m: are the distances in metres?")
-    if not chosen.solution.converged:
+    if not winner.solution.converged:
         sentences.append("The fit stopped before it settled: fix what is known.")
     return sentences

@@ -1,4 +1,6 @@
-"""Which model a picture supports: the fewest numbers that foretell left-out pixels as well."""
+"""Choice of the model that a picture supports: the fewest numbers that predict left-out pixels as
+well as any.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,17 +18,17 @@ from uwaug.fitting.solve import M, Objective, Solution, loss, solve
 from uwaug.optics.medium import Medium
 
 _FOLDS = 5
-_CHANCE = 2.0  # of summed loss: what a number gains by chance
-_STEPS = 6  # of a fit without a fold
+_CHANCE_LOSS = 2.0  # summed loss that a number gains by chance
+_FOLD_STEPS = 6  # largest number of steps of a fit without a fold
 
 
 @dataclass(frozen=True, eq=False)
 class FittedModel(Generic[M]):
-    """A candidate that was fitted.
+    """A candidate after its fit.
 
     Attributes:
-        objective, solution: what was fitted, and where it ended.
-        losses: what each block of the picture adds to the loss.
+        objective, solution: the model with its pixels, and where its fit ended.
+        losses: summed loss of each block of the picture.
     """
 
     objective: Objective[M]
@@ -35,7 +37,7 @@ class FittedModel(Generic[M]):
 
     @property
     def model(self) -> M:
-        """What was fitted."""
+        """The fitted model."""
         return self.objective.model
 
     @property
@@ -45,25 +47,25 @@ class FittedModel(Generic[M]):
 
     @property
     def loss(self) -> float:
-        """The summed loss."""
+        """Summed loss of all blocks."""
         return float(self.losses.sum())
 
     def behind(self, other: "FittedModel[M]") -> tuple[float, float]:
-        """By how much the loss exceeds that of another, and the standard error of that."""
+        """Excess of the loss over that of another candidate, and the standard error of it."""
         # blocks are independent of each other, their pixels are not
         difference = (self.losses - other.losses)[(self.losses > 0) | (other.losses > 0)]
         return float(difference.sum()), float(np.sqrt(difference.size * difference.var()))
 
     @cached_property
     def rms(self) -> float:
-        """Of the residual, in linear light."""
+        """Root mean square of the residual, in linear light."""
         pixels = self.objective.pixels
         residual = self.model.render(self.solution.theta, pixels) - pixels.observed
         return float(residual[pixels.weights > 0].square().mean().sqrt())
 
     @property
     def explained(self) -> float:
-        """The share of the variance of the observed pixels that the model explains."""
+        """Share of the variance of the observed pixels that the model explains."""
         pixels, variance, count = self.objective.pixels, 0.0, 0
         for light, weight in zip(pixels.observed[0], pixels.weights[0], strict=True):
             values = light[weight > 0]
@@ -74,71 +76,72 @@ class FittedModel(Generic[M]):
 
 
 def result_of(
-    chosen: FittedModel[M],
-    tried: Sequence[FittedModel[M]],
+    winner: FittedModel[M],
+    candidates: Sequence[FittedModel[M]],
     name: str,
     medium: Medium,
     pictures: Pictures,
 ) -> Fit:
-    """The fit: numbers and errors of the chosen candidate, and the notes that all fits share."""
-    objective, solution = chosen.objective, chosen.solution
+    """The public result: numbers and errors of the winner, and the notes that all fits share."""
+    objective, solution = winner.objective, winner.solution
     covariance = covariance_of(objective, solution)
-    numbers, matrix = parameters(chosen.model, solution, covariance)
-    left, best, rows = remainder(objective, solution.theta), best_of(tried), []
-    for x in tried:
-        counted = int((x.objective.pixels.weights > 0).sum())
-        error = float(np.sqrt(x.loss / max(counted, 1)))
-        about = (x.model.name, len(x.solution.theta), error, *x.behind(best), x is chosen)
-        rows.append(Candidate(*about, x.model.shown(x.solution.theta)))
+    numbers, matrix = parameters(winner.model, solution, covariance)
+    rest, best, rows = remainder(objective, solution.theta), best_of(candidates), []
+    for x in candidates:
+        count = int((x.objective.pixels.weights > 0).sum())
+        error = float(np.sqrt(x.loss / max(count, 1)))
+        theta, values = x.solution.theta, x.model.shown(x.solution.theta)
+        fields = (x.model.name, len(theta), error, *x.behind(best), x is winner, values)
+        rows.append(Candidate(*fields))
     return Fit(
         model=name,
         parameters=numbers,
         covariance=matrix,
         medium=medium,
         geometry=pictures.geometry,
-        rms=chosen.rms,
-        notes=(*left_over(left, covariance.design_effect, chosen.rms), *unknown(numbers)),
+        rms=winner.rms,
+        notes=(*left_over(rest, covariance.design_effect, winner.rms), *unknown(numbers)),
         candidates=tuple(rows),
-        remainder=tuple(left),
+        remainder=tuple(rest),
         color_space=pictures.color_space,
         pictures=pictures,
     )
 
 
-def best_of(fitted: Sequence[FittedModel[M]]) -> FittedModel[M]:
+def best_of(candidates: Sequence[FittedModel[M]]) -> FittedModel[M]:
     """The candidate of the least loss."""
-    return min(fitted, key=lambda candidate: candidate.loss)
+    return min(candidates, key=lambda candidate: candidate.loss)
 
 
-def one_standard_error_rule(fitted: Sequence[FittedModel[M]]) -> FittedModel[M]:
-    """Of all candidates whose held-out loss is within one standard error of the least, that of the
-    fewest numbers. The error is that of the difference: what makes a block hard for all says
-    nothing.
+def one_standard_error_rule(candidates: Sequence[FittedModel[M]]) -> FittedModel[M]:
+    """The candidate with the fewest numbers, of those whose held-out loss is within one standard
+    error of the least. The error is that of the difference, as blocks that are hard for all
+    candidates say nothing.
 
     Source: Breiman et al. 1984.
     """
-    best = best_of(fitted)
-    near = []
-    for candidate in fitted:
+    best = best_of(candidates)
+    equals = []
+    for candidate in candidates:
         excess, error = candidate.behind(best)
-        if excess <= max(error, _CHANCE):
-            near.append(candidate)
-    return min(near, key=lambda candidate: (len(candidate.solution.theta), candidate.loss))
+        if excess <= max(error, _CHANCE_LOSS):
+            equals.append(candidate)
+    return min(equals, key=lambda candidate: (len(candidate.solution.theta), candidate.loss))
 
 
 def block_losses(objective: Objective[M], theta: Array) -> Array:
-    """What each block of the picture adds to the loss."""
+    """Summed loss of each block of the picture."""
     blocks = objective.pixels.blocks_of_values
     losses: Array = np.bincount(blocks, weights=loss(objective.residual(theta))).astype(float)
     return losses
 
 
 def cross_validated(objective: Objective[M], solution: Solution, seed: int) -> FittedModel[M]:
-    """A candidate with its held-out loss: of each block, from numbers fitted without it.
+    """A candidate with its held-out loss: that of each block under numbers fitted without it.
 
-    Every fit begins at the solution and takes a few steps. (One Gauss–Newton step is not enough
+    Every fit begins at the solution and takes a few steps. A single Gauss–Newton step is not enough
     where numbers are hardly identified: it leads astray, or, shortened, leaves numbers that have
-    seen the blocks, and a model with a blur that is not there won in 3 of 3 pictures.)
+    seen the blocks. A model with a blur that is not there then won in 3 of 3 pictures.
     """
     pixels = objective.pixels
     count = int(pixels.blocks.max()) + 1
@@ -146,8 +149,7 @@ def cross_validated(objective: Objective[M], solution: Solution, seed: int) -> F
     losses = np.zeros(count)
     for k in range(_FOLDS):
         outside = torch.from_numpy(fold[pixels.blocks] != k)
-        kept = replace(pixels, weights=pixels.weights * outside)
-        part = replace(objective, pixels=kept)
-        theta = solve(part, solution.theta, most=_STEPS).theta
+        part = replace(objective, pixels=replace(pixels, weights=pixels.weights * outside))
+        theta = solve(part, solution.theta, max_steps=_FOLD_STEPS).theta
         losses += np.where(fold == k, block_losses(objective, theta), 0.0)
     return FittedModel(objective, solution, losses)

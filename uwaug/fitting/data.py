@@ -1,5 +1,6 @@
-"""What a fit looks at: checked pictures, and pixels of them with the blurs of the clean picture,
-which any width law mixes. The blurs do not depend on the water, so that they are made once.
+"""Input of a fit: checked pictures, and a sample of their pixels with blurs of the clean picture.
+
+Any width law is a mixture of these blurs. They do not depend on the water, so they are made once.
 """
 
 from collections.abc import Sequence
@@ -26,27 +27,27 @@ BLOCKS = 10
 """Blocks along the picture's short side; the residuals of one may depend on each other."""
 
 _MIN_PIXELS = 500  # usable pixels that a fit needs
-_MIN_SPAN = 0.03  # of the distances, as a share of their median; less is one distance
-_SAME_PICTURE = 2e-3  # mean difference of two pictures that are one, as a share of their light
-_WHITE = 0.98  # linear light, 253 of 255 in sRGB: the clean picture may be brighter than it says
-_TOLERANCE = 2e-4  # of the blurs: what they are wrong by is the least that a residual can be
-# Of the picture's short side: the widest blur that a law may ask for. The calibrated law reaches
-# that of a 60° view after ten scattering lengths, where no light is left.
-_WIDEST = 1 / 5
-_BINS = 20  # of the distances, from each of which as many pixels are taken
-_NEAR, _FAR = 0.05, 0.95  # quantiles of the finite distances that the range of distances goes by
+_MIN_SPAN = 0.03  # spread of the distances as a share of their median; less is one distance
+_SAME_PICTURE = 2e-3  # mean difference, as a share of the light, below which two pictures are one
+_CLIPPED_LIGHT = 0.98  # linear light of the clean picture, 253 of 255: it may have been brighter
+_BLUR_TOLERANCE = 2e-4  # error of the blurs, below which no residual can fall
+# Widest blur, as a share of the picture's short side. The calibrated law reaches it in a 60° view
+# after ten scattering lengths, where no light is left.
+_WIDEST_BLUR = 1 / 5
+_BINS = 20  # equal steps of distance, from each of which as many pixels are taken
+_NEAR_QUANTILE, _FAR_QUANTILE = 0.05, 0.95  # of the finite distances: the ends of their range
 
 
 @plain
 @dataclass(frozen=True)
 class Geometry:
-    """What is known of the pictures before anything is fitted.
+    """Distances and sizes of the pictures of a fit.
 
     Attributes:
-        nearest, reference, farthest: distances that 5, 50 and 95 % of the pixels are nearer than,
-            m; width laws refer to the median.
+        nearest, reference, farthest: quantiles of the distances at 5, 50 and 95 %, m; width laws
+            refer to the median.
         size: height and width, px.
-        widest: the largest width of a blur, px.
+        widest: largest width of a blur, px.
     """
 
     nearest: float
@@ -64,9 +65,10 @@ class Pictures:
         clean (1x3xHxW or Bx3xHxW tensor): linear light, float64; black if there is none.
         observed (Bx3xHxW tensor): linear light, float64.
         z (Bx1xHxW tensor): m, finite, > 0.
-        usable (Bx1xHxW tensor): whether a pixel's distance is known and no value was clipped.
-        color_space: of what was given.
-        clips: whether light beyond black and white was lost: of sRGB, and where none lies beyond.
+        usable (Bx1xHxW tensor): True where the distance is known and no value was clipped.
+        color_space: colour space of the input.
+        clips: True if light beyond black and white was lost, as in sRGB and wherever no value lies
+            beyond.
     """
 
     clean: Tensor
@@ -80,85 +82,80 @@ class Pictures:
     def of(
         clean: Tensor | None, observed: Tensor, distance: Tensor, color_space: ColorSpace
     ) -> "Pictures":
-        """Check what a fit is given.
-
-        Args:
-            clean, observed, distance, color_space: as of `uwaug.fit`; a clean picture of None is
-                not looked at.
-
-        Raises:
-            TypeError, ValueError: if an input does not suit; if too few pixels can be used, the
-                distances are all alike, or clean and observed are one picture.
+        """Check the input of a fit; arguments and errors are those of `uwaug.fit`. `clean` is None
+        where there is no clean picture.
         """
         checks.one_of("color_space", color_space, get_args(ColorSpace))
-        given = {"observed": observed, "distance": distance}
+        tensors = {"observed": observed, "distance": distance}
         if clean is not None:
-            given["clean"] = clean
-        for name, value in given.items():
+            tensors["clean"] = clean
+        for name, tensor in tensors.items():
             if not (
-                name != "distance" and isinstance(value, Tensor) and value.dtype == torch.uint8
+                name != "distance" and isinstance(tensor, Tensor) and tensor.dtype == torch.uint8
             ):
-                checks.floating(name, value)
-            checks.picture(name, value, 1 if name == "distance" else 3)
-            if value.shape[-2:] != observed.shape[-2:]:
-                own, expected = tuple(value.shape[-2:]), tuple(observed.shape[-2:])
-                raise ValueError(f"{name} is {own} but observed is {expected}: align them")
-        rows = {name: x if x.ndim == 4 else x[None] for name, x in given.items()}
-        checks.batches({name: len(x) for name, x in rows.items()})
+                checks.floating(name, tensor)
+            checks.picture(name, tensor, 1 if name == "distance" else 3)
+            if tensor.shape[-2:] != observed.shape[-2:]:
+                size, expected = tuple(tensor.shape[-2:]), tuple(observed.shape[-2:])
+                raise ValueError(f"{name} is {size} but observed is {expected}: align them")
+        batches = {name: x if x.ndim == 4 else x[None] for name, x in tensors.items()}
+        checks.batches({name: len(x) for name, x in batches.items()})
         checks.metres("distance", distance)
-        light, z = _light(rows["observed"], color_space, "observed"), rows["distance"]
-        bare = torch.zeros_like(light[:1])
+        wet = _light(batches["observed"], color_space, "observed")
+        dry = torch.zeros_like(wet[:1])
         if clean is not None:
-            bare = _light(rows["clean"], color_space, "clean")
-            if float((bare - light).abs().mean()) <= _SAME_PICTURE * float(bare.mean()):
+            dry = _light(batches["clean"], color_space, "clean")
+            if float((dry - wet).abs().mean()) <= _SAME_PICTURE * float(dry.mean()):
                 cure = "give the same scene without water and in it"
                 raise ValueError(f"clean and observed are the same picture: {cure}")
-        z = z.detach().cpu().double()
+        z = batches["distance"].detach().cpu().double()
         usable = z > 0
-        clips = color_space == "srgb" or bool(light.min() >= 0 and light.max() <= 1)
+        clips = color_space == "srgb" or bool(wet.min() >= 0 and wet.max() <= 1)
         if clips:
-            inside = (light > 0).any(1) & (light < 1).all(1) & (bare < _WHITE).all(1)
-            usable = usable & inside[:, None]
-        count = max(len(light), len(z), len(bare))
+            unclipped = (wet > 0).any(1) & (wet < 1).all(1) & (dry < _CLIPPED_LIGHT).all(1)
+            usable = usable & unclipped[:, None]
+        count = max(len(wet), len(z), len(dry))
         z = torch.where(z >= checks.OPEN, FARTHEST, torch.where(z > 0, z, 1.0))
         z = z.expand(count, -1, -1, -1)
         pictures = Pictures(
-            bare, light.expand(count, -1, -1, -1), z, usable.expand_as(z), color_space, clips
+            dry, wet.expand(count, -1, -1, -1), z, usable.expand_as(z), color_space, clips
         )
         pictures._require_usable()
         return pictures
 
     @property
     def finite(self) -> Tensor:
-        """Which pixels (Bx1xHxW) are usable and not open water."""
+        """True where a pixel is usable and no open water (Bx1xHxW)."""
         return self.usable & (self.z < FARTHEST)
 
     @cached_property
     def geometry(self) -> Geometry:
         """Distances and sizes."""
-        near, middle, far = np.quantile(self.z[self.finite].numpy(), (_NEAR, 0.5, _FAR)).tolist()
+        quantiles = (_NEAR_QUANTILE, 0.5, _FAR_QUANTILE)
+        nearest, reference, farthest = np.quantile(self.z[self.finite].numpy(), quantiles).tolist()
         size = (self.z.shape[-2], self.z.shape[-1])
-        return Geometry(near, middle, far, size, min(size) * _WIDEST)
+        return Geometry(nearest, reference, farthest, size, min(size) * _WIDEST_BLUR)
 
     def sample(self, shapes: Sequence[Shape], count: int, seed: int) -> "Pixels":
         """Draw at most `count` pixels of all pictures together, spread evenly over their distances,
         with the blurs of `shapes` there.
         """
         rng = np.random.default_rng(seed)
-        each = max(1, count // len(self.z))
-        drawn = [
-            _stratified(z.numpy(), used.numpy(), each, rng)
-            for z, used in zip(self.z.flatten(1), self.usable.flatten(1), strict=True)
+        share = max(1, count // len(self.z))
+        places = [
+            _stratified(z.numpy(), usable.numpy(), share, rng)
+            for z, usable in zip(self.z.flatten(1), self.usable.flatten(1), strict=True)
         ]
 
         def at_places(light: Tensor) -> Tensor:
-            """The values of (1 or B)xCxHxW at the places (1xCx1xN)."""
-            rows = [light[i % len(light)].flatten(1)[:, places] for i, places in enumerate(drawn)]
+            """Values of (1 or B)xCxHxW at the places (1xCx1xN)."""
+            rows = [light[i % len(light)].flatten(1)[:, at] for i, at in enumerate(places)]
             return torch.cat(rows, 1)[None, :, None]
 
         stacks = {}
+        widest, side = self.geometry.widest, max(self.geometry.size)
         for shape in shapes:
-            plan = plan_blur(0.0, self.geometry.widest, _TOLERANCE, shape, max(self.geometry.size))
+            plan = plan_blur(0.0, widest, _BLUR_TOLERANCE, shape, side)
             blurs = [at_places(x).double() for x in blurred(self.clean.float(), plan)]
             stacks[shape] = Stack(plan, blurs)
         observed = at_places(self.observed)
@@ -167,23 +164,23 @@ class Pictures:
             observed=observed,
             z=at_places(self.z),
             weights=torch.ones_like(observed),
-            blocks=blocks_of(drawn, self.geometry.size),
+            blocks=blocks_of(places, self.geometry.size),
             stacks=stacks,
             size=self.geometry.size,
         )
 
     def _require_usable(self) -> None:
-        """Refuse pictures of which too little can be used, saying what it is lost to; and distances
-        that are all alike: attenuation is seen by what it does to distances.
+        """Refuse pictures with too few usable pixels, and distances that are all alike: attenuation
+        shows only between distances.
         """
         usable = int(self.finite.sum())
         if usable < _MIN_PIXELS:
-            lost = {
+            losses = {
                 "lie in open water": self.z >= FARTHEST,
                 "are saturated": (self.observed >= 1).any(1),
                 "are black in observed": (self.observed <= 0).all(1),
             }
-            counts = ", ".join(f"{int(where.sum())} {name}" for name, where in lost.items())
+            counts = ", ".join(f"{int(mask.sum())} {reason}" for reason, mask in losses.items())
             raise ValueError(
                 f"only {usable} pixels can be used, expected {_MIN_PIXELS}: of {self.z.numel()} "
                 f"{counts}; distances must be known, and exposure leave pixels unclipped"
@@ -196,7 +193,7 @@ class Pictures:
 
 
 class Stack(NamedTuple):
-    """The clean pixels, blurred for a shape of point spread: the plan, and its blurs (1x3x1xN)."""
+    """Blurs of the clean pixels (1x3x1xN each) for a shape of point spread, and their plan."""
 
     plan: BlurPlan
     blurs: list[Tensor]
@@ -210,9 +207,9 @@ class Pixels:
         clean, observed (1x3x1xN tensor): linear light, float64.
         z (1x1x1xN tensor): m.
         weights (1x3x1xN tensor): one over the standard deviation of the noise; 0 leaves out.
-        blocks (N array): the block of the picture that a pixel is from, counted from 0.
-        stacks: by shape, as far as they were asked for.
-        size: of the pictures, px.
+        blocks (N array): number of the block of the picture that a pixel is from, from 0.
+        stacks: blurs for each shape that was asked for.
+        size: height and width of the pictures, px.
     """
 
     clean: Tensor
@@ -225,16 +222,16 @@ class Pixels:
 
     @property
     def blocks_of_values(self) -> Places:
-        """The block of each of 3·N values."""
+        """Number of the block of each of the 3·N values."""
         return np.tile(self.blocks, 3)
 
     def softened(self, shape: Shape, sigma: Tensor) -> Tensor:
-        """The clean pixels (1x3x1xN), each blurred by its own width (1x1x1xN), px."""
+        """The clean pixels (1x3x1xN), each blurred by a width `sigma` (1x1x1xN, px)."""
         plan, blurs = self.stacks[shape]
         return mixed(blurs, node_weights(sigma, plan))
 
     def subsample(self, count: int, seed: "int | np.random.Generator") -> "Pixels":
-        """`count` of the pixels, drawn at random; all if there are no more."""
+        """A random `count` of the pixels; all if there are no more."""
         n = self.z.shape[-1]
         if count >= n:
             return self
@@ -249,19 +246,20 @@ class Pixels:
 
 
 def blocks_of(places: Sequence[Places], size: tuple[int, int]) -> Places:
-    """The block of each of the places of each picture of a `size`: numbers counted from 0, that no
-    two pictures share.
+    """Number of the block of each place of each picture of a size (height, width), from 0. Places
+    count pixels row by row. No two pictures share a block.
     """
     side = max(1, min(size) // BLOCKS)
-    across, most = -(-size[1] // side), size[0] * size[1]
+    columns, area = -(-size[1] // side), size[0] * size[1]
     numbers = [
-        most * i + at // size[1] // side * across + at % size[1] // side
+        area * i + at // size[1] // side * columns + at % size[1] // side
         for i, at in enumerate(places)
     ]
     return np.unique(np.concatenate(numbers), return_inverse=True)[1]
 
 
 def _light(picture: Tensor, color_space: ColorSpace, name: str) -> Tensor:
+    """The checked picture in linear light, float64."""
     picture = picture.detach().cpu()
     require_values(picture, color_space, name)
     return decoded(picture, color_space).double()
@@ -270,15 +268,15 @@ def _light(picture: Tensor, color_space: ColorSpace, name: str) -> Tensor:
 def _stratified(
     z: Array, usable: NDArray[np.bool_], count: int, rng: np.random.Generator
 ) -> Places:
-    """The places of `count` usable pixels of a picture: as many from each of equal steps of
-    distance, as far as there are.
+    """Places of `count` usable pixels of a picture, as evenly from equal steps of distance as the
+    pixels allow.
     """
     places = rng.permutation(np.flatnonzero(usable))
     if len(places) <= count:
         return places
-    here = z[places]
-    low, high = np.quantile(here, (_NEAR, _FAR))
-    step = np.clip((here - low) / max(high - low, 1e-9) * _BINS, 0, _BINS - 1).astype(np.int64)
+    z = z[places]
+    low, high = np.quantile(z, (_NEAR_QUANTILE, _FAR_QUANTILE))
+    step = np.clip((z - low) / max(high - low, 1e-9) * _BINS, 0, _BINS - 1).astype(np.int64)
     # the pixels of each step in turn: first one of each, then the second of each, …
     order = np.argsort(step, kind="stable")
     first = np.searchsorted(step[order], np.arange(_BINS))

@@ -1,4 +1,4 @@
-"""Was a haze composed in encoded values, as most published synthesisers do? Fits of light try."""
+"""Test for a haze that was composed in encoded values, as most published synthesisers do."""
 
 from dataclasses import replace
 
@@ -9,34 +9,31 @@ from uwaug.fitting.model import MODELS, CoefficientModel
 from uwaug.fitting.solve import Objective, guess, roughly_weighed, solve
 from uwaug.formation.colour import linear_to_srgb
 
-_PIXELS = 2000  # that the haze of values is fitted to
-_BETTER = 1.05  # times, that is worth a word: pictures of light reached 1.01, hazes of values 1.08
+_HAZE_PIXELS = 2000  # pixels of the fit of encoded values
+# Ratio of residuals that is worth a note; pictures of light reached 1.01, hazes of values 1.08.
+_MIN_RATIO = 1.05
 
 
-def haze_of_values(chosen: FittedModel[CoefficientModel], gain: bool, seed: int) -> list[str]:
-    """The sentence on sRGB values that a haze explains better, taken for light, than the chosen
-    model explains the light that they stand for; none if it does not.
-
-    Args:
-        chosen: the model that was fitted to linear light.
-        gain, seed: of the fit.
+def encoded_haze_notes(winner: FittedModel[CoefficientModel], gain: bool, seed: int) -> list[str]:
+    """The note on sRGB values that a haze, fitted to them as if they were light, explains better
+    than the winner explains the light they stand for; none if it does not.
     """
-    haze = replace(chosen.model, spec=MODELS["haze"], gain=gain)
+    haze = replace(winner.model, spec=MODELS["haze"], gain=gain)
     if not set(haze.fixed) <= set(haze.fixable) or not haze.bounds:
-        return []  # what the caller knows has no place in it
-    pixels = chosen.objective.pixels
+        return []  # a haze has no place for the fixed numbers
+    pixels = winner.objective.pixels
     is_used = pixels.weights > 0
     clean, observed = linear_to_srgb(pixels.clean), linear_to_srgb(pixels.observed)
     values = replace(pixels, clean=clean, observed=observed, weights=is_used.double(), stacks={})
-    few = Objective(haze, roughly_weighed(values).subsample(_PIXELS, seed))
-    theta = solve(few, haze.start(guess(few))).theta
+    objective = Objective(haze, roughly_weighed(values).subsample(_HAZE_PIXELS, seed))
+    theta = solve(objective, haze.start(guess(objective))).theta
 
     def rms(picture: Tensor) -> float:
         return float((picture - observed)[is_used].square().mean().sqrt())
 
-    of_light = rms(linear_to_srgb(chosen.model.render(chosen.solution.theta, pixels)))
+    of_light = rms(linear_to_srgb(winner.model.render(winner.solution.theta, pixels)))
     of_values = rms(haze.render(theta, values))
-    if of_light < _BETTER * of_values:
+    if of_light < _MIN_RATIO * of_values:
         return []
     return [
         f"A haze that was composed in encoded values fits {of_light / of_values:.2g} times better: "

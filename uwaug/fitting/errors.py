@@ -1,5 +1,5 @@
-"""How sure a fit is: the spread of its numbers over other pictures of the same kind; what is left
-by distance; and the one place, `parameter`, where a number is reported or is "not identified".
+"""Errors of a fit: the covariance of its numbers over other pictures of the same kind, and the
+residuals by distance. `parameter` alone decides if a number is reported or "not identified".
 """
 
 import math
@@ -15,52 +15,52 @@ from uwaug.fitting.solve import M, Objective, Solution, influence
 from uwaug.optics.curves import FARTHEST
 
 NORMAL = 1.96  # standard errors to either end of a 95 % interval
-# Of a number at either end of its interval: where its standard error is larger, and larger than
-# what shows in a picture, the number is not identified.
+# Standard error, as a share of the number at either end of its interval, above which the number is
+# not identified, unless the error is less than what shows in a picture.
 #
-# Measured by the ends, which asks of a symmetric number for an error below a quarter of it. Of 672
-# numbers of 76 random waters that pass so, one was more than half off, by less than shows. Of 37
-# more that pass if the number itself is the measure, 14 were, and of 55 that do not pass either
-# way, 26; among the 37 were veils off by a factor of 10⁷.
-_VAGUE = 0.5
-_FLAT = 1e-9  # of the largest eigenvalue of a matrix of unit scale: what is less is not seen
-_UNMOVED = 1e-4  # of what a quantity could move along a direction that is not seen
-_TENTHS = 10  # parts of the distances, whose residuals are looked at
+# The ends ask for an error below a quarter of a symmetric number. Of 672 numbers of 76 random
+# waters that pass, one was more than half off, by less than shows. Of 37 more that pass if the
+# number itself is the measure, 14 were; among them were veils off by a factor of 10⁷. Of 55 that
+# pass neither way, 26 were.
+_MAX_ERROR_SHARE = 0.5
+_FLAT_EIGENVALUE = 1e-9  # share of the largest eigenvalue, below which a direction does not show
+_UNMOVED_SHARE = 1e-4  # of a slope, that may lie along directions that do not show
+_TENTHS = 10  # parts of the distances, each with a mean residual
 
 
 class Covariance(NamedTuple):
-    """Of the numbers that are fitted.
+    """Covariance of the fitted numbers.
 
     Attributes:
         matrix: the covariance.
-        length: of the Jacobian's columns; 0 if a number does nothing.
-        unseen (numbers x directions): changes of numbers times length that do not show at all.
-        design_effect: by how much errors are larger than if all residuals were independent.
+        length: lengths of the Jacobian's columns; 0 if a number does nothing.
+        hidden (numbers x directions): changes of numbers times length that do not show at all.
+        design_effect: ratio of the errors to those of independent residuals.
     """
 
     matrix: Array
     length: Array
-    unseen: Array
+    hidden: Array
     design_effect: float
 
     def shows(self, slope: Array) -> bool:
-        """Whether a quantity of these slopes by the numbers shows in the pictures."""
+        """True if a quantity with these slopes by the numbers shows in the pictures."""
         if (self.length[slope != 0] == 0).any():
             return False
         scaled = np.divide(slope, self.length, out=np.zeros_like(slope), where=self.length > 0)
-        moved = np.abs(scaled @ self.unseen)
-        return bool((moved <= _UNMOVED * np.linalg.norm(scaled)).all())
+        hidden = np.abs(scaled @ self.hidden)
+        return bool((hidden <= _UNMOVED_SHARE * np.linalg.norm(scaled)).all())
 
 
 def sandwich(jacobian: Array, score: Array, curvature: Array, blocks: Places) -> Covariance:
-    """The sandwich H⁻¹·S·H⁻¹: H from the slopes, S from the scores of blocks of the picture, whose
-    residuals may depend on each other, as a wrong model's do; in no direction less than if all
-    pixels were independent.
+    """Sandwich estimate H⁻¹·S·H⁻¹ of the covariance: H from the slopes, S from the scores of blocks
+    of the picture. Residuals of a block may depend on each other, as a wrong model's do. In no
+    direction is it less than for independent pixels.
 
     Args:
-        jacobian (N x numbers): of the residuals.
-        score, curvature (N): derivatives of half of each residual's loss.
-        blocks (N): of each residual.
+        jacobian (N x numbers): derivatives of the residuals.
+        score, curvature (N): first two derivatives of half of each residual's loss.
+        blocks (N): number of the block of each residual.
 
     Source: White 1982; over blocks, Liang and Zeger 1986.
     """
@@ -70,16 +70,16 @@ def sandwich(jacobian: Array, score: Array, curvature: Array, blocks: Places) ->
     used = length > 0
     scaled = jacobian[:, used] / length[used]
     values, vectors = np.linalg.eigh(scaled.T @ (curvature[:, None] * scaled))
-    seen = values > _FLAT * max(values.max(initial=0.0), 1e-300)
-    root = vectors[:, seen] / np.sqrt(values[seen])  # root @ root.T is H⁻¹
+    visible = values > _FLAT_EIGENVALUE * max(values.max(initial=0.0), 1e-300)
+    root = vectors[:, visible] / np.sqrt(values[visible])  # root @ root.T is H⁻¹
     scores = scaled @ root * score[:, None]
-    summed = np.zeros((int(blocks.max()) + 1, scores.shape[1]))
-    np.add.at(summed, blocks, scores)
-    counted = len(np.unique(blocks[score != 0]))
+    sums = np.zeros((int(blocks.max()) + 1, scores.shape[1]))
+    np.add.at(sums, blocks, scores)
+    count = len(np.unique(blocks[score != 0]))
     # the fit has made the sums of scores smaller than they are elsewhere; few blocks bear no more
-    freedom = max(counted - scores.shape[1], counted / 2, 1)
-    of_blocks = counted / freedom * summed.T @ summed
-    independent = scores.T @ scores + _FLAT * np.eye(scores.shape[1])
+    freedom = max(count - scores.shape[1], count / 2, 1)
+    of_blocks = count / freedom * sums.T @ sums
+    independent = scores.T @ scores + _FLAT_EIGENVALUE * np.eye(scores.shape[1])
     # a hundred blocks give a rough estimate: where it is less than that of pixels, it is by chance
     ratios, directions = eigh(of_blocks, independent)
     wider = independent @ directions * np.sqrt(ratios.clip(min=1.0))
@@ -87,13 +87,13 @@ def sandwich(jacobian: Array, score: Array, curvature: Array, blocks: Places) ->
     design_effect = np.median(np.diag(inner) / np.diag(root @ independent @ root.T)) ** 0.5
     matrix = np.zeros((len(length), len(length)))
     matrix[np.ix_(used, used)] = inner / np.outer(length[used], length[used])
-    unseen = np.zeros((len(length), int((~seen).sum())))
-    unseen[used] = vectors[:, ~seen]
-    return Covariance(matrix, length, unseen, float(design_effect))
+    hidden = np.zeros((len(length), int((~visible).sum())))
+    hidden[used] = vectors[:, ~visible]
+    return Covariance(matrix, length, hidden, float(design_effect))
 
 
 def covariance_of(objective: Objective[M], solution: Solution) -> Covariance:
-    """Of all numbers of a fit, over blocks of its pictures."""
+    """Covariance of all numbers of a fit, over blocks of its pictures."""
     residual = objective.residual(solution.theta)
     jacobian = objective.jacobian(solution.theta)
     return sandwich(jacobian, *influence(residual), objective.pixels.blocks_of_values)
@@ -102,7 +102,7 @@ def covariance_of(objective: Objective[M], solution: Solution) -> Covariance:
 def parameters(
     model: Model, solution: Solution, covariance: Covariance
 ) -> tuple[dict[str, Parameter], Array]:
-    """Every quantity that is reported, by the delta method, and the covariance of all."""
+    """Every reported quantity by name, by the delta method; and the covariance of all."""
     theta = solution.theta
     at_bound = {name for name, end in zip(model.bounds, solution.at_bound, strict=True) if end}
     slopes = report_slopes(model, theta)
@@ -127,21 +127,21 @@ def parameters(
 def parameter(
     quantity: Quantity, value: float, error: float, *, shows: bool = True, at_bound: bool = False
 ) -> Parameter:
-    """A number, if the pictures tell it: the one place where that is decided.
+    """A number with its error, or "not identified" where the pictures do not tell it.
 
     It is not identified in two cases: it does not show in the pictures at all; or its standard
     error is larger than half of the number at either end of its interval, and larger than what
     shows in a picture.
 
     Args:
-        quantity: what it is.
+        quantity: name, unit and resolution.
         value, error: the number, ≥ 0, and its standard error.
-        shows: whether a change of it shows in the pictures: nothing else makes up for it.
-        at_bound: whether it is at the end of what it may be.
+        shows: True if a change of it shows in the pictures, as nothing else makes up for it.
+        at_bound: True if it is at the end of its range.
     """
     low, high = max(value - NORMAL * error, 0.0), value + NORMAL * error
     half = (high - low) / (2 * NORMAL)
-    if not (shows and half <= max(quantity.resolution, _VAGUE * min(value, low))):
+    if not (shows and half <= max(quantity.resolution, _MAX_ERROR_SHARE * min(value, low))):
         return Parameter(None, None, None, None, quantity.unit, "not identified")
     if at_bound:
         return Parameter(value, None, low, high, quantity.unit, "at bound")
@@ -149,18 +149,16 @@ def parameter(
 
 
 def remainder(objective: Objective[M], theta: Array) -> list[Remainder]:
-    """What is left by distance: the mean of observed − fitted in each tenth of the pixels, and of
-    open water.
-    """
+    """Mean of observed − fitted in each tenth of the pixels by distance, and in open water."""
     pixels = objective.pixels
-    left = (pixels.observed - objective.model.render(theta, pixels))[0, :, 0].numpy()
-    counted = pixels.weights[0, :, 0].numpy() > 0
+    residual = (pixels.observed - objective.model.render(theta, pixels))[0, :, 0].numpy()
+    used = pixels.weights[0, :, 0].numpy() > 0
     z = pixels.z.flatten().numpy()
     order = np.argsort(z, kind="stable")
-    near = order[z[order] < FARTHEST]
+    finite = order[z[order] < FARTHEST]
     rows = []
-    for part in [*np.array_split(near, _TENTHS), order[len(near) :]]:
-        values = [left[c, part][counted[c, part]] for c in range(3)]
+    for part in [*np.array_split(finite, _TENTHS), order[len(finite) :]]:
+        values = [residual[c, part][used[c, part]] for c in range(3)]
         if min(len(x) for x in values) > 1:
             means = tuple(float(x.mean()) for x in values)
             errors = tuple(float(x.std() / math.sqrt(len(x))) for x in values)

@@ -1,4 +1,4 @@
-"""`fit_water`: which Jerlov type a scene lies in, how much is in the water, and how deep."""
+"""`fit_water`: the Jerlov type of a scene, its contents and its vertical depth."""
 
 import math
 import os
@@ -16,7 +16,7 @@ from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.api import Progress, checked_options
 from uwaug.fitting.choose import FittedModel, block_losses, result_of
 from uwaug.fitting.data import Geometry, Pictures, Pixels
-from uwaug.fitting.model import MAX_OPTICAL_DEPTH, MOST_GAIN, Bounds, Model, Quantity
+from uwaug.fitting.model import MAX_GAIN, MAX_OPTICAL_DEPTH, Bounds, Model, Quantity
 from uwaug.fitting.result import Fit
 from uwaug.fitting.solve import Objective, loss, reweighed, roughly_weighed, solve
 from uwaug.optics.camera import Camera, load_camera
@@ -27,27 +27,28 @@ from uwaug.optics.scattering import Scattering
 from uwaug.optics.surfaces import Surfaces
 from uwaug.optics.water import Water
 
-_SEEN = 0.02  # share of the contrast that is left at the visibility
+_VISIBLE_CONTRAST = 0.02  # share of the contrast that is left at the visibility
 _START_PIXELS = 1000  # pixels of the fits that others begin from
-_VISIBILITIES = np.geomspace(0.4, 25.0, 8)  # to begin at, in multiples of the median distance
-_VERTICAL_DEPTHS = (0.5, 3.0, 10.0)  # vertical depths to begin at, m
+_START_VISIBILITIES = np.geomspace(0.4, 25.0, 8)  # multiples of the median distance
+_START_DEPTHS = (0.5, 3.0, 10.0)  # vertical depths, m
 _MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
-_CONTENTS = (1e-3, 1e3)  # of a type's: from pure water to clear types within the tables' error
-_STEP = 1e-5  # of θ, for a difference that stands for the slope of a picture
-_TOLERANCE = 0.002  # of the medium of a result
+# Multiples of a type's contents, from pure water to clear types within the tables' error.
+_MIN_CONTENTS, _MAX_CONTENTS = 1e-3, 1e3
+_THETA_STEP = 1e-5  # of a difference quotient
+_RESULT_TOLERANCE = 0.002  # of the medium of a result
 
 
 @dataclass(frozen=True, eq=False)
 class TypeModel(Model):
-    """A scene in a Jerlov type with more or less in it.
+    """A scene in a Jerlov type with contents multiplied by a factor.
 
     θ holds the logarithms of contents and gain, and the vertical depth [m].
 
     Attributes:
         water: the type.
         camera, surfaces, g, point_spread: as of `fit_water`.
-        depth: the vertical depth, m; None if it is fitted.
-        geometry: of the pictures.
+        depth: vertical depth, m; None if it is fitted.
+        geometry: distances and sizes of the pictures.
     """
 
     water: Water
@@ -60,34 +61,34 @@ class TypeModel(Model):
 
     @property
     def name(self) -> str:
-        """Of the type."""
+        """Name of the type."""
         return self.water.name
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
-        """Bounds of each number that is fitted, by name, in the order of θ."""
-        unseen = math.exp(-MAX_OPTICAL_DEPTH)
-        most = max(self.water.contents_for(unseen, self.geometry.reference), 1.0)
-        low, high = (math.log(x) for x in (_CONTENTS[0], min(most, _CONTENTS[1])))
+        """Bounds of each fitted number, by name, in the order of θ."""
+        invisible = math.exp(-MAX_OPTICAL_DEPTH)
+        opaque = max(self.water.contents_for(invisible, self.geometry.reference), 1.0)
+        low, high = math.log(_MIN_CONTENTS), math.log(min(opaque, _MAX_CONTENTS))
         bounds = {"contents": Bounds(low, high, 0.0)}
         if self.depth is None:
             bounds["vertical_depth"] = Bounds(0.0, _MAX_VERTICAL_DEPTH, 3.0)
-        return bounds | {"gain": Bounds(-math.log(MOST_GAIN), math.log(MOST_GAIN), 0.0)}
+        return bounds | {"gain": Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)}
 
     def numbers(self, theta: Array) -> dict[str, float]:
         """Contents, vertical depth and gain."""
         numbers = dict(zip(self.bounds, theta.tolist(), strict=True))
         depth = numbers.get("vertical_depth", self.depth) or 0.0
-        logarithms = {name: math.exp(numbers[name]) for name in ("contents", "gain")}
-        return {**logarithms, "vertical_depth": max(depth, 0.0)}
+        factors = {name: math.exp(numbers[name]) for name in ("contents", "gain")}
+        return {**factors, "vertical_depth": max(depth, 0.0)}
 
     def water_of(self, theta: Array) -> Water:
-        """The type with what is in it."""
+        """The type with these contents."""
         return self.water.with_contents(self.numbers(theta)["contents"])
 
     def medium(self, theta: Array, tolerance: float = 0.0) -> Medium:
-        """The medium of these numbers; by default with all bands: fewer rates jump as numbers
-        change.
+        """The medium of these numbers; by default with all bands, as fewer rates would jump when
+        numbers change.
         """
         numbers = self.numbers(theta)
         medium = Medium.from_water(
@@ -102,26 +103,28 @@ class TypeModel(Model):
         return medium.brightened(torch.tensor([numbers["gain"]], dtype=torch.float64))
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
-        """The pixels (1x3x1xN) in linear light."""
+        """Pixels (1x3x1xN) in linear light."""
         medium = self.medium(theta)
         soft = pixels.softened(self.point_spread.shape, medium.width(pixels.z, pixels.size))
         return medium.image(pixels.z, pixels.clean, soft)
 
     def slopes(self, theta: Array, pixels: Pixels) -> Array:
         """Derivatives of the 3·N values by θ (3·N x numbers), by differences."""
-        here, columns = self.render(theta, pixels), []
+        light, columns = self.render(theta, pixels), []
         for i, (name, bound) in enumerate(self.bounds.items()):
             if name == "gain":  # a logarithm
-                columns.append(here)
+                columns.append(light)
                 continue
-            moved = theta.copy()
-            moved[i] += _STEP if theta[i] + _STEP <= bound.high else -_STEP  # into the range
-            columns.append((self.render(moved, pixels) - here) / (moved[i] - theta[i]))
+            step = _THETA_STEP if theta[i] + _THETA_STEP <= bound.high else -_THETA_STEP
+            neighbour = theta.copy()
+            neighbour[i] += step
+            difference = self.render(neighbour, pixels) - light
+            columns.append(difference / (neighbour[i] - theta[i]))
         return torch.stack(columns, -1).reshape(-1, len(columns)).numpy()
 
     @property
     def quantities(self) -> list[Quantity]:
-        """What is reported."""
+        """The reported quantities."""
         return [
             Quantity("visibility", "m", 0.0, "contents"),
             Quantity("contents", "1", 0.05, "contents"),
@@ -130,15 +133,14 @@ class TypeModel(Model):
         ]
 
     def report(self, theta: Array) -> Array:
-        """The value of each of `quantities`."""
+        """Value of each of `quantities`."""
         numbers = self.numbers(theta) | self.shown(theta)
         return np.array([numbers[quantity.name] for quantity in self.quantities])
 
     def shown(self, theta: Array) -> dict[str, float]:
-        """Visibility and depth, m."""
-        visibility = self.water_of(theta).visibility()
+        """Visibility and vertical depth, m."""
         return {
-            "visibility": visibility,
+            "visibility": self.water_of(theta).visibility(),
             "vertical_depth": self.numbers(theta)["vertical_depth"],
         }
 
@@ -158,27 +160,28 @@ def fit_water(
     seed: int = 0,
     progress: bool | Progress = True,
 ) -> Fit:
-    """Which Jerlov water a scene lies in, and how much is in it.
+    """Find the Jerlov type of a scene's water, its contents and its vertical depth.
 
-    Each of the ten types is fitted by its contents, vertical depth and exposure, by its spectra and
-    the camera's, through `Medium.from_water`. That which leaves least is taken. What is taken for
-    known by default is what `uwaug.RandomUnderwater` takes.
+    Contents, vertical depth and exposure are fitted for each of the ten types, by spectra of water
+    and camera through `Medium.from_water`. The type with the smallest residual is taken. Defaults
+    are those of `uwaug.RandomUnderwater`.
 
     Args:
         clean, observed, distance, color_space, seed, progress: as of `uwaug.fit`.
         camera: as of `Medium.from_water`. A wrong one gives a wrong water.
         surfaces: "spectral" or "grey", as of `Medium.from_water`.
-        vertical_depth: of the scene below the surface, m; None: it is fitted, 0…30 m.
+        vertical_depth: depth of the scene below the surface, m; None: it is fitted, 0…30 m.
         g: share of the scattered light that leaves the line of sight; μ is 1.5·g. One picture does
             not tell it from the water.
-        point_spread: the width law; None for `PointSpread.calibrated` of a view 60° wide, .866 of
-            the width. A picture by the paper's has `PointSpread.paper()`, g = .2 and grey surfaces.
-        pixels: how many are fitted, spread evenly over the distances, 500…100 000.
+        point_spread: width law; None: `PointSpread.calibrated` of a view 60° wide, whose focal
+            length is .866 of the width. Pictures by the paper's model need `PointSpread.paper()`,
+            g = .2 and grey surfaces.
+        pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
 
     Returns:
-        The fit: its `model` is the type, its `water` goes into `uwaug.RandomUnderwater`; numbers
+        The fit: its `model` is the type, its `water` goes into `uwaug.RandomUnderwater`. Numbers
         are visibility [m], contents (the factor of `Water.with_contents`), vertical depth [m] and
-        gain (exposure); candidates are the ten types.
+        gain (exposure). Candidates are the ten types.
 
     Raises:
         TypeError, ValueError: as `uwaug.fit`; if too few pixels lie above the noise.
@@ -213,32 +216,32 @@ def fit_water(
     # a medium that is made in inference mode could not be trained
     with one_thread(), torch.inference_mode(False), torch.no_grad():
         say("blurring the clean picture")
-        drawn = roughly_weighed(pictures.sample([law.shape], int(pixels), seed))
-        few = drawn.subsample(_START_PIXELS, seed)
+        sample = roughly_weighed(pictures.sample([law.shape], int(pixels), seed))
+        subset = sample.subsample(_START_PIXELS, seed)
         scouts = []
         for model in models:
             say(f"trying {model.name}")
-            objective = Objective(model, few)
+            objective = Objective(model, subset)
             scouts.append((model, solve(objective, _start(objective))))
         best, end = min(scouts, key=lambda pair: pair[1].cost)
         say("learning the noise")
-        weighed, _ = reweighed(Objective(best, drawn), end.theta, pictures.clips)
-        tried = []
+        weighed, _ = reweighed(Objective(best, sample), end.theta, pictures.clips)
+        candidates = []
         for model, end in scouts:
             say(f"fitting {model.name}")
             objective = Objective(model, weighed)
             solution = solve(objective, end.theta)
             losses = block_losses(objective, solution.theta)
-            tried.append(FittedModel(objective, solution, losses))
-        tried.sort(key=lambda fitted: fitted.loss)
-        chosen = tried[0]
-        model, theta = chosen.model, chosen.solution.theta
-        result = result_of(chosen, tried, model.name, model.medium(theta, _TOLERANCE), pictures)
-    others = result.candidates[1:]
-    alike = [x.name for x in others if x.behind <= x.behind_error]
+            candidates.append(FittedModel(objective, solution, losses))
+        candidates.sort(key=lambda candidate: candidate.loss)
+        winner = candidates[0]
+        model, theta = winner.model, winner.solution.theta
+        medium = model.medium(theta, _RESULT_TOLERANCE)
+        result = result_of(winner, candidates, model.name, medium, pictures)
+    equals = [x.name for x in result.candidates[1:] if x.behind <= x.behind_error]
     comparison = "All others explain the picture worse by more than one standard error."
-    if alike:
-        comparison = f"Within one standard error, these explain it as well: {', '.join(alike)}."
+    if equals:
+        comparison = f"Within one standard error, these explain it as well: {', '.join(equals)}."
     notes = (
         f"Jerlov type {model.name}. {comparison}",
         f"The residual is {result.rms:.2g} RMS of linear light. Camera, g, surfaces and a linear "
@@ -248,19 +251,19 @@ def fit_water(
 
 
 def _start(objective: Objective[TypeModel]) -> Array:
-    """The best of a grid of visibilities and depths, at a gain by linear least squares."""
+    """The best θ of a grid of visibilities and depths, with a gain by linear least squares."""
     model, pixels = objective.model, objective.pixels
     observed = pixels.observed * pixels.weights
-    best, least = np.zeros(len(model.bounds)), math.inf
-    for metres in _VISIBILITIES * model.geometry.reference:
-        contents = math.log(max(model.water.contents_for(_SEEN, metres), _CONTENTS[0]))
-        for depth in _VERTICAL_DEPTHS if model.depth is None else (model.depth,):
-            numbers = {"contents": contents, "vertical_depth": depth, "gain": 0.0}
+    best, best_cost = np.zeros(len(model.bounds)), math.inf
+    for visibility in _START_VISIBILITIES * model.geometry.reference:
+        contents = max(model.water.contents_for(_VISIBLE_CONTRAST, visibility), _MIN_CONTENTS)
+        for depth in _START_DEPTHS if model.depth is None else (model.depth,):
+            numbers = {"contents": math.log(contents), "vertical_depth": depth, "gain": 0.0}
             theta = np.clip([numbers[name] for name in model.bounds], *objective.bounds)
             light = model.render(theta, pixels) * pixels.weights
             gain = float((light * observed).sum() / light.square().sum().clamp(min=1e-300))
-            theta[-1] = math.log(min(max(gain, 1 / MOST_GAIN), MOST_GAIN))
+            theta[-1] = math.log(min(max(gain, 1 / MAX_GAIN), MAX_GAIN))
             cost = float(loss(objective.residual(theta)).sum())
-            if cost < least:
-                best, least = theta, cost
+            if cost < best_cost:
+                best, best_cost = theta, cost
     return best

@@ -1,10 +1,10 @@
-"""The picture as a function of a few numbers θ, and its slopes: coefficients for each colour.
+"""Pictures as functions of a few numbers θ, coefficients for each colour, and their slopes.
 
     I = light·(T_β·(J − soft) + T_G·soft) + source·(1 − e^(−Gz))/G
 
 with T_β = e^(−βz), T_G = e^(−Gz), soft = J blurred with σ = width·(z/reference)^exponent, and
-source = G·V(0), the growth of the veil at the lens. Pictures are rendered by the `Medium` of the
-numbers, as any other image is; slopes are written out.
+source = G·V(0), the growth of the veil at the lens. Pictures are rendered by `Medium`, as any other
+image is; slopes are written out.
 """
 
 import math
@@ -26,21 +26,21 @@ from uwaug.optics.scattering import Scattering
 
 COLOURS = ("red", "green", "blue")
 MAX_OPTICAL_DEPTH = 40.0  # to the median distance: more than any picture survives
-MOST_GAIN = 1e4  # and one over it the least
-# px, σ at the median distance, below which a blur is hardly told from none: in pictures of the
-# default tolerance β is 40 % too small at .2 px, 10 % at .45, right at .7; and one of .13 px was
+MAX_GAIN = 1e4  # the least gain is one over it
+# px, σ at the median distance, below which a blur is hardly told from none. In pictures of the
+# default tolerance β is 40 % too small at .2 px, 10 % at .45, right at .7. A blur of .13 px was
 # taken for .68 px.
 NARROW_PX = 0.8
-EXPONENTS = (0.2, 3.0)  # of a width law: least and largest
-_MAX_G_OVER_BETA = 4.0  # where no light is scattered forward and nothing ties the two together
-_MIN_G = 1e-9  # 1/m, stands for smaller G, where the veil has no end
-_MIN_LENGTHS = 1e-2  # scattering lengths to the median distance, that a width law counts by
-_MIN_WIDTH = 1e-9  # px, stands for less: slopes by the width are proportional to it
-_REPORT_STEP = 1e-5  # of θ, for a difference that stands for the slope of what is reported
+EXPONENTS = (0.2, 3.0)  # least and largest exponent of a width law
+_MAX_G_OVER_BETA = 4.0  # without forward scatter, where nothing ties the two together
+_MIN_G = 1e-9  # 1/m; takes the place of smaller G, where the veil has no end
+_MIN_LENGTHS = 1e-2  # scattering lengths to the median distance, in a width law
+_MIN_WIDTH_PX = 1e-9  # takes the place of smaller widths, by which slopes are divided
+_REPORT_STEP = 1e-5  # step of θ, relative, of a difference quotient
 
 
 class Bounds(NamedTuple):
-    """Least and largest value of a number that is fitted, and where a fit may begin."""
+    """Least and largest value of a fitted number, and where a fit may begin."""
 
     low: float
     high: float
@@ -48,12 +48,12 @@ class Bounds(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """What is reported.
+    """A reported quantity.
 
     Attributes:
-        name, unit: of the quantity.
-        resolution: the least change of it that shows in the picture.
-        follows: the number of θ at whose bounds it is at the end of what it may be.
+        name, unit: its name and unit.
+        resolution: smallest change that shows in the picture.
+        follows: name of the number of θ; where that is at a bound, the quantity is, too.
     """
 
     name: str
@@ -63,40 +63,40 @@ class Quantity(NamedTuple):
 
 
 class Model(Protocol):
-    """What a fit asks of a picture as a function of θ."""
+    """A picture as a function of θ, as fits need it."""
 
     @property
     def name(self) -> str:
-        """Of the candidate."""
+        """Name of the candidate."""
 
     @property
     def bounds(self) -> Mapping[str, Bounds]:
-        """Bounds of each number that is fitted, by name, in the order of θ."""
+        """Bounds of each fitted number, by name, in the order of θ."""
 
     @property
     def quantities(self) -> list[Quantity]:
-        """What is reported."""
+        """The reported quantities."""
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
-        """The pixels (1x3x1xN) in linear light."""
+        """Pixels (1x3x1xN) in linear light."""
 
     def slopes(self, theta: Array, pixels: Pixels) -> Array:
         """Derivatives of the 3·N values by θ (3·N x numbers)."""
 
     def report(self, theta: Array) -> Array:
-        """The value of each of `quantities`."""
+        """Value of each of `quantities`."""
 
     def hidden(self, theta: Array) -> Sequence[str]:
-        """The quantities that pictures of these numbers do not tell, whatever their errors."""
+        """Names of quantities that pictures of these numbers do not tell, whatever their errors."""
         return ()
 
     def shown(self, theta: Array) -> Mapping[str, float]:
-        """What a table of candidates says of each."""
+        """Values for a table of candidates, by name."""
         return {}
 
 
 def report_slopes(model: Model, theta: Array) -> Array:
-    """Derivatives of what a model reports by θ (quantities x numbers), by differences."""
+    """Derivatives of the reported values by θ (quantities x numbers), by differences."""
     columns = []
     for i, bound in enumerate(model.bounds.values()):
         step = _REPORT_STEP * max(abs(theta[i]), abs(bound.begin), 0.01)
@@ -107,18 +107,18 @@ def report_slopes(model: Model, theta: Array) -> Array:
 
 
 class ModelSpec(NamedTuple):
-    """One of the candidates.
+    """A model of `uwaug.fit`.
 
     Attributes:
-        name: what it is called.
-        own_veil: whether the veil has a coefficient G of its own, or that of the direct light.
-        shape: of the point spread, whose law has a width and an exponent; None if no light is
-            scattered forward.
-        words: what it models.
+        name: its name.
+        separate_veil: True if the veil has a coefficient G, False if it has that of direct light.
+        shape: shape of the point spread, whose law has a width and an exponent; None without
+            forward scatter.
+        words: the terms of the model, in words.
     """
 
     name: str
-    own_veil: bool
+    separate_veil: bool
     shape: Shape | None
     words: str
 
@@ -129,21 +129,21 @@ _SPECS = (
     ModelSpec("gaussian", True, "gaussian", "forward scatter too, a Gaussian"),
     ModelSpec("exponential", True, "exponential", "forward scatter too, an exponential"),
 )
-MODELS = {spec.name: spec for spec in _SPECS}  # by name, from the fewest numbers to the most
+MODELS = {spec.name: spec for spec in _SPECS}  # from the fewest numbers to the most
 
 
 class Coefficients(NamedTuple):
-    """What the picture depends on; 3 numbers each, but for the width law.
+    """Coefficients of a picture; 3 numbers each, but for the width law.
 
     Attributes:
         beta: attenuation of the direct light, 1/m.
         G: attenuation of signal and veil, 1/m.
-        source: growth of the veil at the lens, G·V(0), 1/m: what is seen of the veil where G is
+        source: growth of the veil at the lens, G·V(0), 1/m; all that shows of the veil where G is
             small.
-        light: of a white surface in front of the lens: daylight that is left, exposure and white
-            balance together.
+        light: light of a white surface in front of the lens: daylight, exposure and white balance
+            together.
         width: σ at the reference distance, px.
-        exponent: of the width law.
+        exponent: exponent of the width law.
     """
 
     beta: Array
@@ -167,7 +167,7 @@ def picture_slopes(
         plan, blurs = pixels.stacks[shape]
         soft = mixed(blurs, node_weights(sigma, plan))
         by_log = light * (signal - direct) * mixed(blurs, node_slopes(sigma, plan)) * sigma
-        by_width = by_log / max(c.width, _MIN_WIDTH)
+        by_width = by_log / max(c.width, _MIN_WIDTH_PX)
         by_exponent = by_log * (z / reference).log()
     sharp = direct * (pixels.clean - soft)
     return {
@@ -199,14 +199,14 @@ def _growth_slope(x: Tensor) -> Tensor:
 class CoefficientModel(Model):
     """A water by coefficients for each colour.
 
-    θ holds β, share (G/β), source and the logarithm of light of each colour, width and exponent: G
-    as a share of β, and the veil by its slope at the lens, are told apart better than G and V(0).
+    θ holds β, share (G/β), source and the logarithm of light of each colour, width and exponent.
+    Pictures tell share and source apart better than G and V(0).
 
     Attributes:
-        spec: the candidate.
-        geometry: of the pictures.
-        gain: whether the light is fitted, or that of the clean picture.
-        fixed: numbers that are known, by the names of `fixable`.
+        spec: terms of the model.
+        geometry: distances and sizes of the pictures.
+        gain: True if the light is fitted, False if it is that of the clean picture.
+        fixed: known numbers, by the names of `fixable`.
     """
 
     spec: ModelSpec
@@ -216,50 +216,50 @@ class CoefficientModel(Model):
 
     @property
     def name(self) -> str:
-        """Of the candidate."""
+        """Name of the candidate."""
         return self.spec.name + self.gain * " + gain"
 
     @property
     def fixable(self) -> tuple[str, ...]:
-        """The names of numbers that may be given instead of fitted."""
-        kinds = ("beta", "G", "veil") if self.spec.own_veil else ("beta", "veil")
+        """Names of the numbers that may be fixed."""
+        kinds = ("beta", "G", "veil") if self.spec.separate_veil else ("beta", "veil")
         names = [f"{kind}_{colour}" for kind in kinds for colour in COLOURS]
         return (*names, *(("width", "exponent") if self.spec.shape else ()))
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
-        """Bounds of each number that is fitted, by name, in the order of θ."""
+        """Bounds of each fitted number, by name, in the order of θ."""
         reference, widest = self.geometry.reference, self.geometry.widest
-        thickest, scatters = MAX_OPTICAL_DEPTH / reference, self.spec.shape is not None
+        opaque, scatters = MAX_OPTICAL_DEPTH / reference, self.spec.shape is not None
         bounds = {}
         for colour in COLOURS:
-            # forward scatter takes no light away: with a G that is known, beta is no less
-            least = self.fixed.get(f"G_{colour}", 0.0) if scatters else 0.0
-            most, begin = max(thickest, 2 * least), max(1 / reference, least)
-            bounds[f"beta_{colour}"] = Bounds(least, most, begin)
-        if self.spec.own_veil:
+            # forward scatter takes no light away: beta is no less than a fixed G
+            low = self.fixed.get(f"G_{colour}", 0.0) if scatters else 0.0
+            high, begin = max(opaque, 2 * low), max(1 / reference, low)
+            bounds[f"beta_{colour}"] = Bounds(low, high, begin)
+        if self.spec.separate_veil:
             share = Bounds(0.0, 1.0 if scatters else _MAX_G_OVER_BETA, 0.5)
             bounds |= {f"share_{colour}": share for colour in COLOURS}
-        slope = Bounds(0.0, thickest, 0.2 / reference)
-        bounds |= {f"source_{colour}": slope for colour in COLOURS}
+        source = Bounds(0.0, opaque, 0.2 / reference)
+        bounds |= {f"source_{colour}": source for colour in COLOURS}
         if self.gain:
-            most = math.log(MOST_GAIN)
-            bounds |= {f"light_{colour}": Bounds(-most, most, 0.0) for colour in COLOURS}
+            light = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
+            bounds |= {f"light_{colour}": light for colour in COLOURS}
         if scatters:
             bounds["width"] = Bounds(0.0, widest, 0.1 * widest)
             bounds["exponent"] = Bounds(*EXPONENTS, 1.0)
-        stands_for = {"G": "share", "veil": "source"}
+        kind_in_theta = {"G": "share", "veil": "source"}
         for name in self.fixed:
             kind, _, colour = name.partition("_")
-            del bounds["_".join(filter(None, (stands_for.get(kind, kind), colour)))]
+            del bounds["_".join(filter(None, (kind_in_theta.get(kind, kind), colour)))]
         return bounds
 
     def coefficients(self, theta: Array) -> Coefficients:
-        """What the picture depends on."""
+        """Coefficients of the picture at θ."""
         values = dict(self.fixed) | dict(zip(self.bounds, theta.tolist(), strict=True))
 
-        def three(kind: str, otherwise: Array) -> Array:
-            rows = zip(COLOURS, otherwise.tolist(), strict=True)
+        def three(kind: str, defaults: Array) -> Array:
+            rows = zip(COLOURS, defaults.tolist(), strict=True)
             return np.array([values.get(f"{kind}_{colour}", value) for colour, value in rows])
 
         beta = three("beta", np.zeros(3))
@@ -271,29 +271,28 @@ class CoefficientModel(Model):
         )
 
     def start(self, numbers: Mapping[str, float]) -> Array:
-        """θ where a fit begins, by the names of `bounds`; what is not given, at its beginning."""
+        """θ of numbers by the names of `bounds`; the others are where a fit may begin."""
         return np.array([numbers.get(name, bound.begin) for name, bound in self.bounds.items()])
 
     def medium(self, theta: Array) -> Medium:
         """The water as `uwaug.Underwater` takes it: a batch of one."""
         c, reference = self.coefficients(theta), self.geometry.reference
-        least = c.G.clip(min=_MIN_G)
-        rows = (c.beta, least, c.light, c.source / least)
+        positive_G = c.G.clip(min=_MIN_G)
+        rows = (c.beta, positive_G, c.light, c.source / positive_G)
         beta, G, light, veil = (torch.from_numpy(x)[None] for x in rows)
-        if self.spec.shape is None and self.spec.own_veil:
+        if self.spec.shape is None and self.spec.separate_veil:
             return _without_scatter(beta, G, light, veil)
         beta = beta.maximum(G)
         if self.spec.shape is None:
             return Medium.from_coefficients(beta, beta, veil, light=light)
         b = float((beta - G).mean()) / (1 - Scattering.CALIBRATED.g)
         b = max(b, _MIN_LENGTHS / reference)
-        # σ = width·(z/reference)^exponent
         scale = c.width / (b * reference) ** c.exponent
         law = PointSpread(scale, c.exponent, self.spec.shape, float(min(self.geometry.size)))
         return Medium.from_coefficients(beta, G, veil, b_mean=b, point_spread=law, light=light)
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
-        """The pixels (1x3x1xN) in linear light."""
+        """Pixels (1x3x1xN) in linear light."""
         medium, soft = self.medium(theta), pixels.clean
         if self.spec.shape is not None:
             soft = pixels.softened(self.spec.shape, medium.width(pixels.z, pixels.size))
@@ -304,18 +303,17 @@ class CoefficientModel(Model):
         c = self.coefficients(theta)
         by = picture_slopes(c, pixels, self.spec.shape, self.geometry.reference)
         beta, G = (torch.from_numpy(x).reshape(1, 3, 1, 1) for x in (c.beta, c.G))
-        # what is fixed does not follow: G goes with β, unless it is given; source with G, if the
-        # veil is
-        of_veil, of_G = torch.zeros(1, 3, 1, 1).double(), G / beta.clamp(min=1e-12)
-        if not self.spec.own_veil:
-            of_G = torch.ones_like(G)
+        # G follows β unless it is fixed; source follows G if the veil is fixed
+        G_by_beta, source_by_G = G / beta.clamp(min=1e-12), torch.zeros(1, 3, 1, 1).double()
+        if not self.spec.separate_veil:
+            G_by_beta = torch.ones_like(G)
         for i, colour in enumerate(COLOURS):
-            of_veil[:, i] = self.fixed.get(f"veil_{colour}", 0.0)
+            source_by_G[:, i] = self.fixed.get(f"veil_{colour}", 0.0)
             if f"G_{colour}" in self.fixed:
-                of_G[:, i] = 0.0
-        by_G = by["G"] + of_veil * by["source"]
+                G_by_beta[:, i] = 0.0
+        by_G = by["G"] + source_by_G * by["source"]
         by |= {
-            "beta": by["beta"] + of_G * by_G,
+            "beta": by["beta"] + G_by_beta * by_G,
             "share": beta * by_G,
             "light": torch.from_numpy(c.light).reshape(1, 3, 1, 1) * by["light"],
         }
@@ -329,15 +327,15 @@ class CoefficientModel(Model):
 
     @cached_property
     def quantities(self) -> list[Quantity]:
-        """What is reported: those that are fitted or fixed, and what follows from them."""
-        distance = self.geometry.farthest
-        rate, shows = 0.1 / distance, 0.02
+        """The reported quantities: fitted and fixed numbers, and what follows from them."""
+        farthest = self.geometry.farthest
+        rate, light = 0.1 / farthest, 0.02  # 1/m and 1: the smallest changes that show
         kinds = [("beta", "1/m", rate, "beta")]
-        if self.spec.own_veil:
+        if self.spec.separate_veil:
             kinds.append(("G", "1/m", rate, "share"))
-        kinds += [("veil", "1", shows, "source"), ("source", "1/m", shows / distance, "source")]
+        kinds += [("veil", "1", light, "source"), ("source", "1/m", light / farthest, "source")]
         if self.gain:
-            kinds.append(("gain", "1", shows, "light"))
+            kinds.append(("gain", "1", light, "light"))
         rows = []
         for kind, unit, resolution, follows in kinds:
             for colour in COLOURS:
@@ -348,29 +346,35 @@ class CoefficientModel(Model):
         return rows
 
     def report(self, theta: Array) -> Array:
-        """The value of each of `quantities`."""
+        """Value of each of `quantities`."""
         c = self.coefficients(theta)
-        rows = [c.beta, *([c.G] if self.spec.own_veil else ()), c.source / (c.G + _MIN_G), c.source]
-        rows += [c.light] if self.gain else []
-        return np.concatenate([*rows, [c.width, c.exponent] if self.spec.shape else []])
+        rows = [c.beta]
+        if self.spec.separate_veil:
+            rows.append(c.G)
+        rows += [c.source / (c.G + _MIN_G), c.source]
+        if self.gain:
+            rows.append(c.light)
+        if self.spec.shape:
+            rows.append(np.array([c.width, c.exponent]))
+        return np.concatenate(rows)
 
     def hidden(self, theta: Array) -> Sequence[str]:
-        """β and the width, where the blur is hardly told from none."""
+        """Names of β and the width law, where the blur is hardly told from none."""
         if self.spec.shape is None or self.coefficients(theta).width >= NARROW_PX:
             return ()
         return ("beta_red", "beta_green", "beta_blue", "width", "exponent")
 
 
 def _without_scatter(beta: Tensor, G: Tensor, light: Tensor, veil: Tensor) -> Medium:
-    """A medium (numbers are 1x3) in which all light that leaves the line of sight is lost, T_G =
-    T_β, and whose veil has rates of its own.
+    """A medium (of 1x3 tensors) without forward scatter, T_G = T_β, whose veil has separate rates
+    G.
     """
     medium = Medium.from_coefficients(beta, beta, veil, light=light)
-    none = torch.zeros_like(medium.veil_weights)
+    zeros = torch.zeros_like(medium.veil_weights)
     return replace(
         medium,
         G=torch.cat([beta, G], 1),
-        signal_weights=torch.cat([medium.signal_weights, none], 2),
-        veil_weights=torch.cat([none, medium.veil_weights], 2),
+        signal_weights=torch.cat([medium.signal_weights, zeros], 2),
+        veil_weights=torch.cat([zeros, medium.veil_weights], 2),
         notes=("fitted: direct light and veil, no forward scatter",),
     )

@@ -1,4 +1,4 @@
-"""What fits return: numbers with their errors, in words, as a medium, as files and as pictures."""
+"""Results of fits: numbers with their errors, in words, as a medium, as files and as pictures."""
 
 import json
 import os
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 
 State = Literal["free", "at bound", "not identified", "fixed"]
 
-SHOWS = 0.002
-"""Of linear light, half of a step of 8 bits: what is less does not show in a picture. The default
-tolerance of media and blurs puts pictures .0007 off (RMS).
+VISIBLE_LIGHT = 0.002
+"""Smallest difference of linear light that shows in a picture, half of a step of 8 bits. The
+default tolerance of media and blurs puts pictures .0007 off (RMS).
 """
 
-THIN = 0.3  # optical depth G·z at the far end, below which a veil is still a straight line
-_SURELY = 5.0  # standard errors of independent noise, that a mean of residuals is off by
-_DEPENDENT = 1.5  # design effect, above which neighbouring residuals depend on each other
-# Of the median distance and of the farthest: what a fit's module is planned for.
-_NEAREST, _FARTHEST = 0.2, 1.5
-_MOST_DIGITS = 12  # of the ends of an interval
+THIN_OPTICAL_DEPTH = 0.3  # G·z at the far end, below which a veil is still a straight line
+_SURE_ERRORS = 5.0  # standard errors of independent noise, beyond which a mean residual is real
+_DEPENDENT_EFFECT = 1.5  # design effect, above which neighbouring residuals depend on each other
+# Range that a fit's module is planned for, in shares of the median and of the farthest distance.
+_NEAR_SHARE, _FAR_SHARE = 0.2, 1.5
+_MAX_DIGITS = 12  # of the ends of an interval
 _MEANINGS = {
     "veil": "of white, V(0)",
     "source": "of white, G·V(0)",
@@ -43,7 +43,7 @@ _MEANINGS = {
     "exponent": "of σ over distance",
     "contents": "times those of the type",
 }
-"""What a number is, by its kind, where its name and unit do not say so."""
+"""Meanings of numbers whose name and unit are not enough, by kind."""
 
 
 @codec.plain
@@ -53,11 +53,11 @@ class Parameter:
 
     Attributes:
         value: None if it is not identified.
-        error: standard error; None if there is none: not identified, fixed, or at a bound.
-        low, high: ends of the 95 % interval; None as the error, but at a bound known.
+        error: standard error; None if it is not identified, fixed, or at a bound.
+        low, high: ends of the 95 % interval; None if it is not identified or fixed.
         unit: "1/m", "m", "px" or "1".
-        state: "free"; "at bound": at the least or largest value that it may have; "not
-            identified": the pictures do not tell; "fixed": it was given.
+        state: "free"; "at bound": at the end of its range; "not identified": the pictures do not
+            tell; "fixed": it was given.
     """
 
     value: float | None
@@ -74,14 +74,14 @@ class Candidate:
     """A model, or a Jerlov type, that was tried.
 
     Attributes:
-        name: of it.
-        numbers: how many were fitted.
-        error: root of the mean loss of pixels that it was not fitted to (of a type: that it was),
-            in standard deviations of the noise.
-        behind: how far the summed loss lies behind the best.
-        behind_error: standard error of that.
-        chosen: whether the fit is its.
-        values: of a type, what was fitted.
+        name: name of the model or type.
+        numbers: count of the fitted numbers.
+        error: root of the mean loss of left-out pixels (for a type: of the fitted pixels), in
+            standard deviations of the noise.
+        behind: excess of the summed loss over that of the best.
+        behind_error: standard error of `behind`.
+        chosen: True for the candidate of the fit.
+        values: visibility and vertical depth of a type, m.
     """
 
     name: str
@@ -96,12 +96,12 @@ class Candidate:
 @codec.plain
 @dataclass(frozen=True)
 class Remainder:
-    """What is left of the pixels at one distance.
+    """Residual of the pixels at one distance.
 
     Attributes:
-        distance: m.
-        mean: of observed − fitted, in linear light, of red, green and blue.
-        error: the standard error of each, if it were independent noise.
+        distance: median distance of the pixels, m.
+        mean: mean of observed − fitted, in linear light, for red, green and blue.
+        error: standard error of each mean, if the noise were independent.
     """
 
     distance: float
@@ -116,20 +116,20 @@ class Fit:
     `uwaug.fitting.fit_veil`; or read by `load_fit`.
 
     Attributes:
-        model: what was chosen: a name of `uwaug.fit`, a Jerlov type, or "darkest pixels".
+        model: a model of `uwaug.fit`, a Jerlov type, or "darkest pixels".
         parameters: each number by name: value, standard error, 95 % interval, unit, state.
-        covariance: of all of `parameters`, in their order; of no use where one is not identified.
+        covariance: covariance of all `parameters`, in their order; of no use where one is not
+            identified.
         medium: the water, exposure included, as `uwaug.Underwater` and `uwaug.form_image` take it:
             a batch of one, float64. It makes the observed picture of the clean one.
         geometry: distances [m] and size [px] of the pictures.
-        rms: of the residual, in linear light.
-        notes: in words: what was found, and what the pictures cannot tell.
-        candidates: what was tried.
-        remainder: what is left, by distance.
-        water: of `fit_water`, spectra with as much in them as was found, as
-            `uwaug.RandomUnderwater` takes them.
-        color_space: of the pictures, and of those that `module` takes.
-        pictures: what was fitted; None if it was read from a file.
+        rms: root mean square of the residual, in linear light.
+        notes: sentences on the result, and on what the pictures cannot tell.
+        candidates: the models or types that were tried.
+        remainder: residuals by distance.
+        water: spectra with the fitted contents, for `uwaug.RandomUnderwater`; by `fit_water` alone.
+        color_space: colour space of the pictures, and of those that `module` takes.
+        pictures: the fitted pictures; None if the fit was read from a file.
     """
 
     model: str
@@ -147,18 +147,18 @@ class Fit:
 
     @property
     def errors(self) -> dict[str, float]:
-        """The standard errors that are known, by name."""
+        """Standard errors by name, of the numbers that have one."""
         rows = self.parameters.items()
         return {name: number.error for name, number in rows if number.error is not None}
 
     def module(self, sides: tuple[int, int] | None = None) -> Underwater:
-        """The water as a module for the distances that it was fitted to, and some more: from .2
-        times their median to 1.5 times the farthest.
+        """The water as a module for distances from .2 times the median of the fitted ones to 1.5
+        times the farthest.
 
         Args:
-            sides: smallest and largest short side that it serves, px, as of `uwaug.Underwater`.
+            sides: smallest and largest short side of pictures, px, as of `uwaug.Underwater`.
         """
-        low, high = _NEAREST * self.geometry.reference, _FARTHEST * self.geometry.farthest
+        low, high = _NEAR_SHARE * self.geometry.reference, _FAR_SHARE * self.geometry.farthest
         return Underwater(self.medium, (low, high), color_space=self.color_space, sides=sides)
 
     def rendered(self) -> Tensor:
@@ -173,7 +173,7 @@ class Fit:
         return form_image(clean.expand(len(z), -1, -1, -1), z, self.medium).image
 
     def summary(self) -> str:
-        """The result as text: notes, parameters, candidates, what is left by distance."""
+        """The result as text: notes, parameters, candidates, residuals by distance."""
         rows = [["", "value", "std. error", "95 % interval", "unit"]]
         for name, number in self.parameters.items():
             value = "not identified" if number.value is None else f"{number.value:.4g}"
@@ -183,43 +183,45 @@ class Fit:
         if len(self.candidates) > 1:
             # errors are in standard deviations of the noise, what lies behind in their squares
             rows = [["  model", "numbers", "error [σ]", "behind the best [σ²]", ""]]
-            for tried in self.candidates:
-                mark = "*" if tried.chosen else " "
-                behind = f"{tried.behind:.4g} ± {tried.behind_error:.2g}"
-                values = ", ".join(f"{name} {x:.4g}" for name, x in tried.values.items())
-                row = [f"{mark} {tried.name}", str(tried.numbers), f"{tried.error:.4f}", behind]
-                rows.append([*row, values])
+            for x in self.candidates:
+                mark = "*" if x.chosen else " "
+                behind = f"{x.behind:.4g} ± {x.behind_error:.2g}"
+                values = ", ".join(f"{name} {value:.4g}" for name, value in x.values.items())
+                row = [f"{mark} {x.name}", str(x.numbers), f"{x.error:.4f}", behind, values]
+                rows.append(row)
             parts += _aligned(rows)
-        rows = [["observed − fitted", *COLOURS, "of linear light"]]
-        for rest in self.remainder:
-            cells = [f"{m:+.4f} ± {e:.4f}" for m, e in zip(rest.mean, rest.error, strict=True)]
-            rows.append([f"at {rest.distance:.3g} m", *cells, ""])
-        return "\n".join([*parts, *(_aligned(rows) if self.remainder else ())])
+        if self.remainder:
+            rows = [["observed − fitted", *COLOURS, "of linear light"]]
+            for part in self.remainder:
+                cells = [f"{m:+.4f} ± {e:.4f}" for m, e in zip(part.mean, part.error, strict=True)]
+                rows.append([f"at {part.distance:.3g} m", *cells, ""])
+            parts += _aligned(rows)
+        return "\n".join(parts)
 
     def __str__(self) -> str:
         return self.summary()
 
     def __repr__(self) -> str:
-        shown = [f"{name} = {x.value:.3g}" for name, x in self.parameters.items() if x.value]
-        return f"Fit({self.model!r}, {', '.join(shown[:3])}, …)"
+        numbers = [f"{name} = {x.value:.3g}" for name, x in self.parameters.items() if x.value]
+        return f"Fit({self.model!r}, {', '.join(numbers[:3])}, …)"
 
     def plot(self) -> "Figure":
-        """Draw the result: pictures, what is left by distance, curves; needs matplotlib."""
+        """Draw the result: pictures, residuals by distance, curves; needs matplotlib."""
         from uwaug.fitting.plot import plot
 
         return plot(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Numbers and words, as JSON holds them. Pictures are not part of it."""
+        """Numbers and words as plain values for JSON, without pictures."""
         plain: dict[str, Any] = codec.to_plain(self)
         return plain
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> "Fit":
-        """The inverse of `to_dict`, but for pictures.
+        """Inverse of `to_dict`.
 
         Raises:
-            TypeError, ValueError: if it is something else.
+            TypeError, ValueError: if `data` is not a fit.
         """
         fit: Fit = codec.from_plain(data, Fit)
         checks.instance("data", fit, Fit)
@@ -227,7 +229,7 @@ class Fit:
 
     @staticmethod
     def of_plain(covariance: Any, **values: Any) -> "Fit":
-        """A fit of plain numbers, see `uwaug._support.codec`."""
+        """A fit of plain values, for `uwaug._support.codec`."""
         return Fit(covariance=np.array(covariance), **values)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -236,7 +238,7 @@ class Fit:
             part.write_text(json.dumps(self.to_dict(), indent=1) + "\n", encoding="utf-8")
 
     def _meaning(self, name: str) -> str:
-        """Unit and meaning of a number, and its state where that is not plain."""
+        """Unit and meaning of a number, and its state if that is "at bound" or "fixed"."""
         number, kind = self.parameters[name], name.partition("_")[0]
         meaning = _MEANINGS.get(kind, "")
         if kind == "width":
@@ -252,7 +254,7 @@ def load_fit(path: str | os.PathLike[str]) -> Fit:
     """Read a fit that `Fit.save` wrote.
 
     Raises:
-        ValueError: if the file holds something else; names it.
+        ValueError: if the file is not a fit; the error names it.
         OSError: if it cannot be read.
     """
     require_regular(path)
@@ -263,28 +265,31 @@ def load_fit(path: str | os.PathLike[str]) -> Fit:
 
 
 def left_over(remainder: list[Remainder], design_effect: float, rms: float) -> list[str]:
-    """The one sentence on residuals that are not noise, if they are not: at one distance they are
-    off, or those of neighbouring pixels are alike.
+    """The sentence on residuals that are not noise, as they are off at one distance or alike in
+    neighbouring pixels; none otherwise.
     """
-    worst, where = 0.0, ""
+    worst, example = 0.0, ""
     for row in remainder:
         for colour, mean, error in zip(COLOURS, row.mean, row.error, strict=True):
-            if abs(mean) > max(SHOWS, _SURELY * error, worst):
+            if abs(mean) > max(VISIBLE_LIGHT, _SURE_ERRORS * error, worst):
                 worst, side = abs(mean), "brighter" if mean > 0 else "darker"
-                where = f"; {colour} is {worst:.2g} {side} than fitted at {row.distance:.3g} m"
-    alike = design_effect > _DEPENDENT and rms > SHOWS
-    if not where and not alike:
+                example = f"; {colour} is {worst:.2g} {side} than fitted at {row.distance:.3g} m"
+    are_alike = design_effect > _DEPENDENT_EFFECT and rms > VISIBLE_LIGHT
+    if not example and not are_alike:
         return []
     causes = "distances, alignment, uneven light, or more than one rate for a colour"
     return [
         f"What is left is not noise: errors are {design_effect:.1f} times those of independent "
-        f"pixels{where}. The model misses something, such as {causes}: numbers may be off by more."
+        f"pixels{example}. The model misses something, such as {causes}: numbers may be off by "
+        "more."
     ]
 
 
 def straight_line(rates: Mapping[str, float], farthest: float) -> list[str]:
-    """The sentence on colours whose veil, of rates G by colour, has hardly begun to bend."""
-    straight = [colour for colour, G in rates.items() if G * farthest < THIN]
+    """The sentence on colours whose veil has hardly begun to bend at the far end (m); `rates` holds
+    their G (1/m).
+    """
+    straight = [colour for colour, G in rates.items() if G * farthest < THIN_OPTICAL_DEPTH]
     if not straight:
         return []
     return [
@@ -294,15 +299,13 @@ def straight_line(rates: Mapping[str, float], farthest: float) -> list[str]:
 
 
 def unknown(parameters: Mapping[str, Parameter]) -> list[str]:
-    """The sentences on numbers that pictures do not tell, or that are at the end of their range."""
+    """Sentences on numbers that pictures do not tell, or that are at the end of their range."""
+    words = {"not identified": "Not identified", "at bound": "At the end of what they may be"}
     sentences = []
-    for state, words in (
-        ("not identified", "Not identified"),
-        ("at bound", "At the end of what they may be"),
-    ):
+    for state, beginning in words.items():
         names = [name for name, number in parameters.items() if number.state == state]
         if names:
-            sentences.append(f"{words}: {', '.join(names)}.")
+            sentences.append(f"{beginning}: {', '.join(names)}.")
     return sentences
 
 
@@ -310,7 +313,7 @@ def _interval(number: Parameter) -> str:
     """Both ends, to as many digits as tell them apart."""
     if number.low is None or number.high is None:
         return ""
-    for digits in range(4, _MOST_DIGITS):
+    for digits in range(4, _MAX_DIGITS):
         low, high = f"{number.low:.{digits}g}", f"{number.high:.{digits}g}"
         if low != high:
             break
@@ -318,7 +321,7 @@ def _interval(number: Parameter) -> str:
 
 
 def _aligned(rows: list[list[str]]) -> list[str]:
-    """A table in lines, below an empty one: words to the left, numbers to the right."""
+    """Lines of a table below an empty line: words to the left, numbers to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [""]
     for first, *numbers, last in rows:

@@ -1,4 +1,4 @@
-"""`fit_veil`: the veil of a picture without its clean twin, from what is darkest at a distance."""
+"""`fit_veil`: the veil of a picture without a clean one, from its darkest pixels."""
 
 from typing import NamedTuple
 
@@ -13,34 +13,34 @@ from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import Pictures, Places, blocks_of
 from uwaug.fitting.errors import parameter, sandwich
 from uwaug.fitting.model import COLOURS, MAX_OPTICAL_DEPTH, Quantity
-from uwaug.fitting.result import THIN, Fit, straight_line, unknown
+from uwaug.fitting.result import THIN_OPTICAL_DEPTH, Fit, straight_line, unknown
 from uwaug.fitting.solve import ROBUST, influence
 from uwaug.formation.colour import LUMINANCE
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
-_NEAR, _FAR = 0.005, 0.995  # quantiles of the finite distances, between which the bins lie
+_NEAR_QUANTILE, _FAR_QUANTILE = 0.005, 0.995  # of the finite distances: the ends of the bins
 _BINS = 10  # equal steps of distance
-_DARK_SHARE = 0.01  # of the pixels of each, that are taken for black
-_MIN_PIXELS = 50  # pixels of a bin that is looked at
-_MIN_DARK = 10  # dark pixels that are taken from a bin
+_DARK_SHARE = 0.01  # of the pixels of a bin, taken for black
+_MIN_PIXELS = 50  # pixels that a bin needs
+_MIN_DARK = 10  # least number of dark pixels of a bin
 _MIN_BINS = 3  # bins that a fit needs
-_MAX_DARK = 3000  # dark pixels that are fitted
-# What residuals above the curve count: surfaces may be brighter than black, none is darker. With 1
-# the veil is too high by half as much again where nothing is black, with .1 the noise draws it
+_MAX_DARK = 3000  # dark pixels of a fit
+# Weight of residuals above the curve, as surfaces may be brighter than black and none is darker.
+# With 1 the veil is too high by half as much again where nothing is black. With .1 noise draws it
 # down.
-_ABOVE = 0.3
-# What dark surfaces may reflect, if nobody knows better; no real scene's are blacker than .03. By
-# how much veil, G and source would then be others is one standard error.
+_ABOVE_WEIGHT = 0.3
+# Default of what dark surfaces may reflect; no real scene's are blacker than .03. The change of a
+# number by it is one standard error.
 _DARKEST = 0.05
-_ROBUST = 0.02  # of the brightest dark pixels, from where on a residual counts less than its square
-_STARTS = (0.1, 0.5, 2.0)  # optical depths G·z at the median distance, to begin at
-_THINNEST = 1e-4  # least of these
-_ONE_COLOUR = 1e-3  # of the brightest light: any less variation is none
-_KINDS = {"veil": "1", "G": "1/m", "source": "1/m"}  # what is reported, with its unit
-_RESOLUTION = 1e-6  # light may be of any unit here, so that any change may show
-# Optical depth G·z at the near end, above which less than a third of the growth is left to be seen.
-# With surfaces that reflect .05 to .5 everywhere the bundled scene comes to 1.2 to 22.
+_ROBUST_SHARE = 0.02  # of the brightest dark pixels; larger residuals count less than their square
+_START_OPTICAL_DEPTHS = (0.1, 0.5, 2.0)  # G·z at the median distance
+_MIN_OPTICAL_DEPTH = 1e-4  # G·z at the median distance
+_ONE_COLOUR = 1e-3  # variation, as a share of the brightest light, below which there is none
+_KINDS = {"veil": "1", "G": "1/m", "source": "1/m"}  # units of the reported numbers
+_RESOLUTION = 1e-6  # light may have any scale here, so any change may show
+# Optical depth G·z at the near end, above which less than a third of the growth shows. With
+# surfaces that reflect .05 to .5 everywhere the bundled scene comes to 1.2 to 22.
 _FULL_GROWN = 1.2
 
 
@@ -50,7 +50,7 @@ class Dark(NamedTuple):
     Attributes:
         z (N array): m.
         light (Nx3 array): linear light.
-        blocks (N array): the block of the picture that a pixel is from.
+        blocks (N array): number of the block of the picture that a pixel is from.
     """
 
     z: Array
@@ -67,25 +67,25 @@ def fit_veil(
     seed: int = 0,
 ) -> Fit:
     """Estimate a veil V(0)·(1 − e^(−Gz)) for each channel without a clean picture, from the darkest
-    pixels at each distance: what light they show is the veil's, if their surfaces are black.
+    pixels at each distance: if their surfaces are black, all their light is the veil's.
 
-    In each of ten equal steps of distance those of least luminance are taken, by the mean of their
-    3×3 neighbours (single pixels would be chosen for their noise: V 7 to 60 % off instead of 4 to
-    20 %), and of open water any. Residuals below the curve count more than those above. Sea-thru's
-    second term, J'·e^(−β' z) for what dark surfaces reflect, is left out: pictures hardly tell it
-    from the veil, and on five scenes V was twice as far off with it.
+    In each of ten equal steps of distance the pixels of least luminance are taken, by the mean of
+    3×3 neighbours; in open water, any. Single pixels would be chosen for their noise, and V was
+    then 7 to 60 % off instead of 4 to 20 %. Residuals below the curve count more than those above.
+    Sea-thru's second term, J'·e^(−β' z) for the light of dark surfaces, is left out: pictures
+    hardly tell it from the veil, and on five scenes V was twice as far off with it.
 
     Args:
         observed, distance, color_space: as of `uwaug.fit`; several pictures are of one water.
-        darkest: what the darkest surfaces at each distance may reflect, 1 = white. It counts as
-            veil, and how far that may be wrong is part of the errors. 0 if some of them are known
-            to be black, such as deep shadows or a target.
-        seed: of the pixels that are drawn.
+        darkest: share of light that the darkest surfaces at each distance may reflect, 0…1. It
+            counts as veil, and the error this may cause is part of the errors. 0 if some surfaces
+            are known to be black, such as deep shadows or a target.
+        seed: seed of the choice of pixels.
 
     Returns:
-        The fit: veil, V(0), G and source, G·V(0), of each channel. It is an estimate. Its medium
-        has β = G, which pictures without a clean one do not tell; `medium.backscatter` is known
-        where V(0) and G are not, as far as the picture reaches.
+        The fit, an estimate: veil V(0), G and source G·V(0) of each channel. Its medium has β = G,
+        as pictures without a clean one do not tell β. Where V(0) and G are not identified,
+        `medium.backscatter` still is, as far as the picture reaches.
 
     Raises:
         TypeError, ValueError: if an input does not suit; if fewer than 500 pixels can be used,
@@ -111,7 +111,6 @@ def fit_veil(
     pictures = Pictures.of(None, observed, distance, color_space)
     dark = _darkest(pictures, np.random.default_rng(seed))
     reference = pictures.geometry.reference
-    # the distances that the veil is seen from and to
     nearest, farthest = np.quantile(dark.z, (0.05, 0.95)).tolist()
     if (dark.z >= FARTHEST).mean() > 0.01:
         farthest = np.inf
@@ -122,17 +121,17 @@ def fit_veil(
             theta[c] = source, G = _fit(dark, c, reference)
             slopes = np.array([[1 / G, -source / G**2], [0.0, 1.0], [1.0, 0.0]])
             values = _quantities(theta[c])
-            moved = _quantities(_fit(dark, c, reference, floor=darkest)) - values
-            # the errors of pixels, and what surfaces that are not black would change
-            spread = slopes @ _covariance(dark, c, theta[c]) @ slopes.T + np.outer(moved, moved)
+            bias = _quantities(_fit(dark, c, reference, floor=darkest)) - values
+            # the errors of pixels, and the change by surfaces that are not black
+            spread = slopes @ _covariance(dark, c, theta[c]) @ slopes.T + np.outer(bias, bias)
             places = [c, 3 + c, 6 + c]
             covariance[np.ix_(places, places)] = spread
             if G * nearest > _FULL_GROWN:  # its end alone shows, if it is that of the water
                 full_grown.append(colour)
                 shows = {"veil": bool(np.isinf(farthest)), "G": False, "source": False}
             else:  # of a straight line its growth alone
-                bent = bool(G * farthest >= THIN)
-                shows = {"veil": bent, "G": bent, "source": True}
+                is_bent = bool(G * farthest >= THIN_OPTICAL_DEPTH)
+                shows = {"veil": is_bent, "G": is_bent, "source": True}
             errors = np.sqrt(np.diag(spread)).tolist()
             for kind, value, error in zip(_KINDS, values.tolist(), errors, strict=True):
                 quantity = Quantity(f"{kind}_{colour}", _KINDS[kind], _RESOLUTION, "")
@@ -164,46 +163,46 @@ def fit_veil(
 
 
 def _darkest(pictures: Pictures, rng: np.random.Generator) -> Dark:
-    """The darkest pixels of each step of distance, and any of open water."""
+    """The darkest pixels of each step of distance, and random pixels of open water."""
     weights = torch.tensor(LUMINANCE, dtype=torch.float64).reshape(3, 1, 1)
     grey = (weights * pictures.observed).sum(1, keepdim=True)
     grey = F.avg_pool2d(F.pad(grey, (1, 1, 1, 1), mode="replicate"), 3, 1)
-    used = pictures.usable[:, 0]
-    luminance, z = grey[:, 0][used].numpy(), pictures.z[:, 0][used].numpy()
-    light = pictures.observed.movedim(1, -1)[used].numpy()
-    places = [np.flatnonzero(mask.numpy()) for mask in used]
+    usable = pictures.usable[:, 0]
+    luminance, z = grey[:, 0][usable].numpy(), pictures.z[:, 0][usable].numpy()
+    light = pictures.observed.movedim(1, -1)[usable].numpy()
+    places = [np.flatnonzero(mask.numpy()) for mask in usable]
     blocks = blocks_of(places, pictures.geometry.size)
     if float(np.ptp(light, 0).max()) <= _ONE_COLOUR * float(light.max()):
         raise ValueError("observed is of one colour everywhere, which tells nothing of the water")
     finite = z < FARTHEST
-    low, high = np.quantile(z[finite], (_NEAR, _FAR))
-    step = np.floor((z - low) / max(high - low, 1e-9) * _BINS)
+    low, high = np.quantile(z[finite], (_NEAR_QUANTILE, _FAR_QUANTILE))
+    bins = np.floor((z - low) / max(high - low, 1e-9) * _BINS)
     darkest = []
     for k in range(_BINS):
-        inside = np.flatnonzero(finite & (step == k))
-        if len(inside) >= _MIN_PIXELS:
-            count = max(round(_DARK_SHARE * len(inside)), _MIN_DARK)
-            darkest.append(inside[np.argpartition(luminance[inside], count)[:count]])
+        pixels = np.flatnonzero(finite & (bins == k))
+        if len(pixels) >= _MIN_PIXELS:
+            count = max(round(_DARK_SHARE * len(pixels)), _MIN_DARK)
+            darkest.append(pixels[np.argpartition(luminance[pixels], count)[:count]])
     if len(darkest) < _MIN_BINS:
-        few = f"only {len(darkest)} of {_BINS} steps of distance hold {_MIN_PIXELS} pixels"
-        raise ValueError(f"distance: {few}, expected {_MIN_BINS}: give larger pictures")
-    sea = rng.permutation(np.flatnonzero(~finite))
-    darkest.append(sea[: max(len(chosen) for chosen in darkest)])
-    drawn = rng.permutation(np.concatenate(darkest))[:_MAX_DARK]
-    return Dark(z[drawn], light[drawn], blocks[drawn])
+        got = f"only {len(darkest)} of {_BINS} steps of distance hold {_MIN_PIXELS} pixels"
+        raise ValueError(f"distance: {got}, expected {_MIN_BINS}: give larger pictures")
+    open_water = rng.permutation(np.flatnonzero(~finite))
+    darkest.append(open_water[: max(map(len, darkest))])
+    sample = rng.permutation(np.concatenate(darkest))[:_MAX_DARK]
+    return Dark(z[sample], light[sample], blocks[sample])
 
 
 def _fit(dark: Dark, channel: int, reference: float, floor: float = 0.0) -> Array:
-    """Growth at the lens, 1/m, and G of a channel: the best from several starts. What is dark
-    reflects `floor`, which fades as the veil grows.
+    """Source and G of a channel, 1/m: the best from several starts. Dark surfaces reflect `floor`,
+    which fades as the veil grows.
     """
     from scipy.optimize import least_squares
 
     light = dark.light[:, channel]
-    low = np.array([0.0, _THINNEST / reference])
+    low = np.array([0.0, _MIN_OPTICAL_DEPTH / reference])
     high = np.array([np.inf, MAX_OPTICAL_DEPTH / reference])
     ends = []
-    for depth in _STARTS:
+    for depth in _START_OPTICAL_DEPTHS:
         growth = _veil(1.0, depth / reference, dark.z)
         start = np.array([growth @ light / (growth @ growth), depth / reference])
         start = np.clip(start, low * 1.001 + 1e-12, high * 0.999)
@@ -221,31 +220,28 @@ def _fit(dark: Dark, channel: int, reference: float, floor: float = 0.0) -> Arra
 
 def _residual(theta: Array, dark: Dark, channel: int, floor: float = 0.0) -> Array:
     """Observed − veil, in units of which `ROBUST` begin to count less; above the curve, less."""
-    light = dark.light[:, channel]
-    scale = max(_ROBUST * float(np.quantile(light, 0.95)), 1e-9) / ROBUST
-    error = (light - _veil(theta[0], theta[1], dark.z) - floor * np.exp(-theta[1] * dark.z)) / scale
-    return np.asarray(np.sqrt(np.where(error > 0, _ABOVE, 1.0)) * error)
+    light, (source, G) = dark.light[:, channel], theta
+    scale = max(_ROBUST_SHARE * float(np.quantile(light, 0.95)), 1e-9) / ROBUST
+    error = (light - _veil(source, G, dark.z) - floor * np.exp(-G * dark.z)) / scale
+    return np.asarray(np.sqrt(np.where(error > 0, _ABOVE_WEIGHT, 1.0)) * error)
 
 
 def _covariance(dark: Dark, channel: int, theta: Array) -> Array:
-    """Of source and G, over blocks of the pictures."""
-    step = 1e-5 * theta
-    up, down = (theta + sign * np.diag(step) for sign in (1, -1))
-    jacobian = np.stack(
-        [
-            (_residual(a, dark, channel) - _residual(b, dark, channel)) / (2 * h)
-            for a, b, h in zip(up, down, step, strict=True)
-        ],
-        1,
-    )
-    return sandwich(jacobian, *influence(_residual(theta, dark, channel)), dark.blocks).matrix
+    """Covariance of source and G, over blocks of the pictures."""
+    columns = []
+    for step in np.diag(1e-5 * theta):
+        difference = _residual(theta + step, dark, channel) - _residual(theta - step, dark, channel)
+        columns.append(difference / (2 * step.sum()))
+    scores = influence(_residual(theta, dark, channel))
+    return sandwich(np.stack(columns, 1), *scores, dark.blocks).matrix
 
 
 def _quantities(theta: Array) -> Array:
-    """Veil, G and source, of source and G."""
+    """Veil, G and source from θ, source and G."""
     source, G = theta
     return np.array([source / G, G, source])
 
 
 def _veil(source: float, G: float, z: Array) -> Array:
+    """Veil at distances z (m)."""
     return np.asarray(source * -np.expm1(-G * z) / G)

@@ -1,4 +1,4 @@
-"""Between sRGB values, which files hold, and linear light, in which water works (IEC 61966-2-1)."""
+"""sRGB values, which files hold, and linear light, in which water works (IEC 61966-2-1)."""
 
 import math
 from collections.abc import Callable
@@ -13,12 +13,12 @@ from uwaug._support.types import ColorSpace
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of the channels of linear sRGB (IEC 61966-2-1)."""
 
-_BRIGHTEST = 16.0
-"""sRGB values above are taken for a scale of 0…255."""
+_MAX_SRGB = 16.0
+"""sRGB values above this are taken for a scale of 0…255."""
 
-_DARKEST = -0.1
-"""sRGB values below are taken for normalised ones; ImageNet's reach −2.1. Resampling and another
-gamut leave less.
+_MIN_SRGB = -0.1
+"""sRGB values below this are taken for normalised ones, which reach −2.1 with ImageNet's numbers.
+Resampling and another gamut stay above.
 """
 
 # Where the curve's two pieces meet. The standard prints 0.04045 and 0.0031308, rounded, which
@@ -30,8 +30,8 @@ _LN2 = math.log(2)
 
 _Kernel = Callable[..., Tensor]
 
-_PIECE = 1 << 16
-"""Values, 256 KiB in float32; larger temporaries may go back to the system after each call, which
+_PIECE_SIZE = 1 << 16
+"""Values, 256 KiB in float32. Larger temporaries may go back to the system after each call, which
 takes 3 to 5 times as long.
 """
 
@@ -39,15 +39,15 @@ takes 3 to 5 times as long.
 def require_values(
     image: Tensor, color_space: ColorSpace, name: str = "image"
 ) -> tuple[float, float]:
-    """Refuse NaN, infinite values, and sRGB that is none: above 16 it is taken for a scale of
-    0…255, below −0.1 for normalised values. Between which values the others lie.
+    """Smallest and largest value of an image. NaN, infinite values and sRGB outside −.1…16 are
+    refused.
     """
     if not image.is_floating_point() or not image.numel() or torch.compiler.is_compiling():
         return 0.0, 1.0
     low, high = checks.finite(name, image)
-    if color_space == "srgb" and high > _BRIGHTEST:
+    if color_space == "srgb" and high > _MAX_SRGB:
         raise ValueError(f"{name} reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
-    if color_space == "srgb" and low < _DARKEST:
+    if color_space == "srgb" and low < _MIN_SRGB:
         raise ValueError(f"{name} falls to {low:g}: expected 0…1; place it before Normalize")
     return low, high
 
@@ -62,8 +62,8 @@ def decoded(image: Tensor, color_space: ColorSpace) -> Tensor:
 
 
 def headroom(image: Tensor) -> float | Tensor:
-    """The largest sRGB value that a result may have: 1, as files hold no more; if the picture that
-    was given is brighter (HDR), its own largest value, (B, 1, 1, 1).
+    """Largest sRGB value that a result may have: 1, as files hold no more, or the largest value of
+    a brighter picture (HDR), (B, 1, 1, 1).
     """
     if image.dtype == torch.uint8:
         return 1.0
@@ -93,9 +93,8 @@ def encoded(
 def srgb_to_linear(x: Tensor) -> Tensor:
     """Decode sRGB values to linear light: x/12.92 up to 0.04045, ((x + 0.055)/1.055)^2.4 above.
 
-    Convention: elementwise on any shape; odd, f(−x) = −f(x), so negative values and values above 1
-    keep their meaning; 0 and 1 map to exactly 0 and 1. float16 and bfloat16 are computed in float32
-    and returned in their own type.
+    Elementwise on any shape; odd, f(−x) = −f(x), so that negative values and values above 1 keep
+    their meaning; 0 and 1 stay exactly 0 and 1. float16 and bfloat16 are computed in float32.
 
     Args:
         x: sRGB values, nominally in [0, 1].
@@ -143,9 +142,9 @@ def _encode(x: Tensor) -> Tensor:
     return x / m * (1.055 * (torch.exp(torch.log1p(m - 1) * (1 / 2.4)) - 1) + 1)
 
 
-# The same for eager mode: in place on pieces that stay in the cache, keeping only x for the
-# backward pass. There, the straight piece's slope is the power piece's at another place. Half of
-# the time of others (benchmarks/CHOICES.md).
+# The same for eager mode: in place on pieces that stay in the cache, with x alone kept for the
+# backward pass, where the straight piece's slope is the power piece's at another place. This takes
+# half of the time of other ways (benchmarks/CHOICES.md).
 _DECODE_STRAIGHT = 1.055 * (1.055 / (2.4 * 12.92)) ** (1 / 1.4) - 0.055
 _ENCODE_STRAIGHT = (2.4 * 12.92 / 1.055) ** (-2.4 / 1.4)
 
@@ -174,13 +173,13 @@ def _encode_grad(x: Tensor, grad: Tensor) -> Tensor:
     return power.add_(math.log2(1.055 / 2.4)).exp2_() * grad
 
 
-def _piecewise(kernel: _Kernel, x: Tensor, *others: Tensor) -> Tensor:
-    inputs = (x, *others)
+def _piecewise(kernel: _Kernel, *inputs: Tensor) -> Tensor:
+    x = inputs[0]
     dense = x.device.type == "cpu" and all(v.is_contiguous() for v in inputs)
-    if not dense or x.numel() <= _PIECE or torch.is_grad_enabled():
+    if not dense or x.numel() <= _PIECE_SIZE or torch.is_grad_enabled():
         return kernel(*inputs)
     result = torch.empty_like(x)
-    count = -(-x.numel() // _PIECE)
+    count = -(-x.numel() // _PIECE_SIZE)
     flat = (v.view(-1).chunk(count) for v in (result, *inputs))
     for piece, *parts in zip(*flat, strict=True):
         piece.copy_(kernel(*parts))

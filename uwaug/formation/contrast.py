@@ -1,19 +1,19 @@
-"""How much of an object's contrast water leaves.
+"""Share of an object's contrast that water leaves.
 
 A surface of mean light ρ with a pattern on it, ρ·(1 + m·cos …), is seen through water as
 
     T_G·ρ + T_β·ρ·m·cos … + B
 
 where B is the veil. Light that was scattered forward (T_G − T_β) keeps the mean and blurs the
-pattern away. Its modulation was m and is m·T_β·ρ/(T_G·ρ + B): `contrast_left` is what m is
-multiplied by, in luminance. The gain of an exposure multiplies all terms alike and cancels.
+pattern away. The modulation falls from m to m·T_β·ρ/(T_G·ρ + B), and `contrast_left` is their
+ratio in luminance. The gain of an exposure cancels.
 
 That holds for patterns finer than the blur, such as the texture and the edges of an object. Coarser
 ones keep more, up to T_G·ρ/(T_G·ρ + B): this is a lower bound. Against Monte Carlo light transport
-without veil, patterns of a period of 1° (2 px of the
-pictures) keep up to .011 more in six pictures and up to .019 more in walks of the same phase
-function (Henyey–Greenstein, mean cosine .924). Petzold's measured ones scatter into smaller angles:
-with those, patterns of .5° keep .02 to .05 more in the mean, and up to .10.
+without veil, patterns of a period of 1° (2 px of the pictures) keep up to .011 more in six pictures
+and up to .019 more in walks of the same phase function (Henyey–Greenstein, mean cosine .924).
+Petzold's measured ones scatter into smaller angles: with those, patterns of .5° keep .02 to .05
+more in the mean, and up to .10.
 """
 
 import numpy as np
@@ -51,7 +51,7 @@ def contrast_left(
             more behind the veil. A number, or a tensor that broadcasts with (B, 3, H, W), such as
             the scene's own linear light. The default is the grey of photography.
         light: lamps; None for daylight as the medium has it.
-        metres (as distance): in uneven water, the distance without the field, for lamps.
+        metres (as distance): distance without the field, for lamps in uneven water.
 
     Returns:
         1xHxW if distance has no batch, and medium one row, else Bx1xHxW; of distance's
@@ -103,7 +103,7 @@ def contrast_left(
 
 
 def _checked_light(reflectance: float | Tensor, z: Tensor) -> Tensor:
-    """The object's light (B or 1, 3, H, W), in the type of z."""
+    """Check a reflectance, and make it the light of an object (B or 1, 3, H, W) of z's type."""
     if not isinstance(reflectance, Tensor):
         checks.within("reflectance", reflectance, low=0.0)
         return z.new_full((1, 3, *z.shape[-2:]), reflectance)
@@ -112,16 +112,16 @@ def _checked_light(reflectance: float | Tensor, z: Tensor) -> Tensor:
         low, _ = checks.finite("reflectance", reflectance)
         if low < 0:
             raise ValueError(f"reflectance falls to {low:g}: expected linear light ≥ 0")
-    shape = (len(z), 3, *z.shape[-2:])
+    picture = (len(z), 3, *z.shape[-2:])
     try:
-        wide = np.broadcast_shapes(reflectance.shape, shape)
+        shape = np.broadcast_shapes(reflectance.shape, picture)
     except ValueError:
         got = tuple(reflectance.shape)
-        raise ValueError(f"reflectance is {got}: expected what broadcasts with {shape}") from None
-    return reflectance.to(z).expand(wide)
+        raise ValueError(f"reflectance is {got}: expected what broadcasts with {picture}") from None
+    return reflectance.to(z).expand(shape)
 
 
 def _luminance(light: Tensor) -> Tensor:
-    """(Bx3xHxW) to (Bx1xHxW)."""
+    """Luminance (Bx1xHxW) of light (Bx3xHxW)."""
     weights = light.new_tensor(LUMINANCE)[:, None, None]
     return (light * weights).sum(-3, keepdim=True)

@@ -1,4 +1,4 @@
-"""What a medium asks of the blur over a range of distances, and the plans for it."""
+"""The blur that a medium needs over a range of distances: widths, tolerance and plans."""
 
 import math
 from dataclasses import dataclass
@@ -16,49 +16,47 @@ from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
 SIDES = (32, 2160)
-"""px: short sides from a thumbnail's to that of a 4K picture, what the command line exports for."""
+"""Short sides, px, from a thumbnail's to a 4K picture's, for which the command line exports."""
 
 EVERY_SIDE = (1, 16384)
-"""px: short sides of all pictures. Also the largest that a plan may be asked for."""
+"""Short sides, px, of all pictures that a plan may be asked for."""
 
-_LONGEST = 4
-"""Sides: no picture is longer than 4 of the largest short side that a plan for all sizes serves."""
+_LONGEST_SIDES = 4
+"""Longest side of a picture, in largest short sides of a plan for all sizes."""
 
 _SLACK = 1.4
-"""Times what the strongest pixel allows: few are as strong, and linear light has less contrast than
-the plan assumes. At 1.75 a picture of nothing but forward scatter fell below 60 dB at a tolerance
-of .002.
+"""Blur tolerance over what the pixel with most scatter allows: few have as much, and linear light
+has less contrast than the plan assumes. At 1.75 a picture of forward scatter alone fell below 60 dB
+at a tolerance of .002.
 """
 
-_FINEST = 1e-5
-"""What a bright exposure asks for at most: with a gain of 1000, all but the darkest is white."""
-
-_FOR_SLOPES = 0.0005
-"""Blur tolerance wherever a medium is learned, however weak its forward scatter is: a slope in the
-width is relative. Against the exact model (48 × 48 px, widths of 2…11 and 1…20 px, five waters) the
-gradient of a loss to the scale is then within .5 %, at .002 within 2 %, at what the picture asks
-for within 7 %, and up to 170 % where it nearly vanishes. To fit weights to value and slope alike
-gains nothing: what is missing is not in the span of so few blurs.
+_MIN_TOLERANCE = 1e-5
+"""Smallest blur tolerance for a bright exposure: with a gain of 1000, all but the darkest is white.
 """
 
-_LEAST_LEARNED = 0.5
-"""px. A plan for widths that are learned reaches as far as this at least, so that they can grow."""
-
-_MARGIN = 1.1
-"""By which a plan for gradients goes beyond the widths at hand, as half of the slope is missing at
-its very end. With 1.4 gradients are no better, with 1 the slope of the picture is 4 % off instead
-of 2 % (7C, 9C).
+_LEARNED_TOLERANCE = 0.0005
+"""Largest blur tolerance where a medium is learned, however weak its forward scatter: a slope in
+the width is relative. Against the exact model (48 × 48 px, widths of 2…11 and 1…20 px, five waters)
+the gradient of a loss to the scale is then within .5 %. At .002 it is within 2 %.
 """
 
-_WIDEST = 8
-"""Longest sides: wider blurs all give the mean."""
+_LEARNED_REACH_PX = 0.5
+"""Smallest end of a plan for widths that are learned, so that they can grow."""
 
-_STEPS = np.linspace(0, 1, 65)
-"""Of the logarithm of distance, where forward scatter is looked at."""
+_LEARNED_MARGIN = 1.1
+"""Factor by which a plan for gradients goes beyond the widths at hand, as half of the slope is
+missing at its very end.
+"""
+
+_WIDEST_SIDES = 8
+"""Widest blur, in longest sides: wider ones all give the mean."""
+
+_LOG_STEPS = np.linspace(0, 1, 65)
+"""Places in the logarithm of distance at which forward scatter is sampled."""
 
 
 class Weights(NamedTuple):
-    """A medium of B rows as arrays in double precision: rates (BxK, BxL), weights of the three
+    """Arrays of a medium of B rows in double precision: rates (BxK, BxL) and weights of the three
     curves (Bx3xK, Bx3xL, Bx3xL), of which the first two have nine rows for surfaces with spectra.
     """
 
@@ -70,14 +68,15 @@ class Weights(NamedTuple):
 
     @staticmethod
     def of(medium: Medium) -> "Weights":
-        """Those of a medium."""
+        """The arrays of a medium."""
         direct, signal = medium.direct_weights.flatten(1, -2), medium.signal_weights.flatten(1, -2)
-        return Weights(
-            *map(_array_of, (medium.beta, direct, medium.G, signal, medium.veil_weights))
-        )
+        tensors = (medium.beta, direct, medium.G, signal, medium.veil_weights)
+        return Weights(*(x.detach().cpu().double().contiguous().numpy() for x in tensors))
 
     def seen_by(self, gain: Array) -> "Weights":
-        """As seen by a camera that multiplies channels (B or 1, 3), or mixes them (…, 3, 3)."""
+        """The medium before a camera that multiplies channels (B or 1, 3), or mixes them by
+        matrices (B or 1, 3, 3).
+        """
         beta, G = self.beta, self.G
         if len(gain) > len(beta):
             beta, G = beta.repeat(len(gain), 0), G.repeat(len(gain), 0)
@@ -89,12 +88,8 @@ class Weights(NamedTuple):
         return Weights(beta, direct, G, signal, matrix @ self.veil)
 
 
-def _array_of(values: Tensor) -> Array:
-    return values.detach().cpu().double().contiguous().numpy()
-
-
 def _mixed(matrix: Array, weights: Array) -> Array:
-    """Weights (Bx3xK, or Bx9xK of matrices) as seen by a camera that mixes channels: Bx9xK."""
+    """Weights (Bx3xK, or Bx9xK of matrices) after a matrix (Bx3x3) that mixes channels: Bx9xK."""
     if weights.shape[1] == 3:
         mixed = matrix[..., None] * weights[:, None]
     else:
@@ -104,15 +99,15 @@ def _mixed(matrix: Array, weights: Array) -> Array:
 
 @dataclass(frozen=True)
 class BlurDemand:
-    """What a medium asks of the blur over a range of distances, before the image size is known.
+    """The blur that a medium needs over a range of distances, before the image size is known.
 
     Attributes:
-        low, high: range of widths that show, px of the point spread's own scale; both 0 if none
-            does.
-        blur_tolerance: of the blurred picture before it is weighted with forward scatter; the
-            weaker the scatter, the larger.
-        shape, reference_size: of the point spread.
-        learned: whether the width is to be learned: a blur is planned even if none shows.
+        low, high: smallest and largest width that shows, px at the point spread's reference size;
+            both 0 if none does.
+        blur_tolerance: tolerance of the blurred picture before it is weighted with forward scatter;
+            the weaker the scatter, the larger.
+        shape, reference_size: shape and reference size of the point spread.
+        learned: True to plan a blur even if none shows, as the width is learned.
     """
 
     low: float
@@ -124,11 +119,11 @@ class BlurDemand:
 
     @property
     def serves_every_size(self) -> bool:
-        """Whether pictures of any size ask for the same blur."""
+        """True if pictures of any size need the same blur."""
         return self.high == 0 or (self.reference_size is None and self.shape == "gaussian")
 
     def covers(self, other: "BlurDemand") -> bool:
-        """Whether this leaves nothing to be wished by another, of the same law."""
+        """True if a plan for this demand serves another one of the same law."""
         wide_enough = self.low <= other.low and other.high <= self.high
         return wide_enough and self.blur_tolerance <= other.blur_tolerance
 
@@ -141,20 +136,20 @@ class BlurDemand:
         return self._plan(min(size), min(size), max(size), shared)
 
     def plan_all(self, sides: tuple[int, int]) -> BlurPlan:
-        """One plan for all images whose short side lies in `sides`, px, and no side beyond 4 times
-        the larger.
+        """One plan for all images whose short side lies in `sides`, px, and whose long side is 4
+        times the larger of these at most.
         """
-        return self._plan(*sides, _LONGEST * sides[1], shared=False)
+        return self._plan(*sides, _LONGEST_SIDES * sides[1], shared=False)
 
     def _plan(self, smallest: int, largest: int, longest: int, shared: bool) -> BlurPlan:
         reference = self.reference_size
         low = self.low * (1.0 if reference is None else smallest / reference)
         high = min(
             self.high * (1.0 if reference is None else largest / reference),
-            float(_WIDEST * longest),
+            float(_WIDEST_SIDES * longest),
         )
         if self.learned:
-            high = max(high, _LEAST_LEARNED)
+            high = max(high, _LEARNED_REACH_PX)
         if high < 1e-6:
             return NO_BLUR
         if shared:
@@ -173,45 +168,44 @@ def blur_demand(
     margin: float = 1.0,
     seen: Weights | None = None,
 ) -> BlurDemand:
-    """What a medium needs of the blur over a range of effective distances, and no more.
+    """The blur that a medium needs over a range of effective distances, and no more.
 
-    Ignores distances at which forward scatter is below the tolerance. The weaker the scatter, the
-    larger the blur error allowed.
+    Distances at which forward scatter is below the tolerance do not count. The weaker the scatter,
+    the larger the blur error that is allowed.
 
     Args:
         medium: any batch; the demand covers all rows.
         distance_range: (nearest, farthest) of m·z, m; 0 ≤ nearest ≤ farthest, inf allowed.
         tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
             single pixels may be off by 3 to 5 times as much.
-        learned: plan for gradients to the medium: finer, as slopes are wanted too, and even if
-            forward scatter or its width is invisible now; its gradient is not negligible.
-        margin: widen the range of widths by this factor either way, for parameters that will be
+        learned: True to plan for gradients to the medium: finer, as slopes are wanted, and even if
+            forward scatter or its width is invisible now.
+        margin: factor by which the range of widths is widened either way, for widths that are
             learned.
-        seen: the medium as a camera sees it, if not as it is.
+        seen: the medium before a camera; None for the medium as it is.
     """
     checks.tolerance(tolerance)
     law = medium.point_spread
     near, far = max(distance_range[0], 0.0), min(distance_range[1], FARTHEST)
     weights = Weights.of(medium) if seen is None else seen
     first, last, strength = _scattered(*weights[:4], near, far, tolerance, learned)
-    traced = learned and law.requires_grad
+    learns_width = learned and law.requires_grad
     if strength == 0:
-        learns = learned and traced
-        return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, learns)
+        return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, learns_width)
     widths = widths_at(medium, np.array([first, last]), None)
     low, high = float(widths.min()), float(widths.max())
     # in half octaves, so that similar media may share a plan
     slack = _SLACK * octave_steps(1 / strength, 2, math.floor)
-    blur_tolerance = min(tolerance * slack, _FOR_SLOPES if learned else 0.5)
-    blur_tolerance = max(blur_tolerance, min(tolerance, _FINEST))
-    learns = learned and (traced or high > 0)
+    blur_tolerance = min(tolerance * slack, _LEARNED_TOLERANCE if learned else 0.5)
+    blur_tolerance = max(blur_tolerance, min(tolerance, _MIN_TOLERANCE))
+    learns_width |= learned and high > 0
     return BlurDemand(
-        low / margin, high * margin, blur_tolerance, law.shape, law.reference_size, learns
+        low / margin, high * margin, blur_tolerance, law.shape, law.reference_size, learns_width
     )
 
 
 def widths_at(medium: Medium, z: Array, size: tuple[int, int] | None) -> Array:
-    """The widths, px, of all rows at distances (N), m, in double precision."""
+    """Widths (BxN), px, of a medium of B rows at distances (N), m, in double precision."""
     law, b_mean = medium.point_spread, medium.b_mean.detach().cpu().double().numpy()
     if not law.has_tensors:
         widths: Array = law.sigma(b_mean[:, None] * z, size)
@@ -232,47 +226,47 @@ def _scattered(
     tolerance: float,
     learned: bool,
 ) -> tuple[float, float, float]:
-    """Between which distances forward scatter shows, and the most of it, of the medium and the
-    channel that have most; 0 if none does. Of what is learned, direct light counts where there is
-    no scatter.
+    """Nearest and farthest distance, m, at which forward scatter shows, and the largest scatter of
+    any medium and channel; 0 if none shows. If it is learned, direct light stands for scatter that
+    does not show.
     """
-    scattered, direct = np.zeros(len(_STEPS)), np.zeros(len(_STEPS))
-    least = max(near, 1e-3)
-    far = max(min(far, _farthest_blurred(G, signal_weights)), least)
-    z = least * (far / least) ** _STEPS
+    scattered, direct = np.zeros(len(_LOG_STEPS)), np.zeros(len(_LOG_STEPS))
+    nearest = max(near, 1e-3)
+    far = max(min(far, _farthest_blurred(G, signal_weights)), nearest)
+    z = nearest * (far / nearest) ** _LOG_STEPS
     for row in range(len(beta)):
-        left = direct_weights[row] @ np.exp(-beta[row][:, None] * z)
-        _take_most(direct, left)
-        _take_most(scattered, signal_weights[row] @ np.exp(-G[row][:, None] * z) - left)
+        T = direct_weights[row] @ np.exp(-beta[row][:, None] * z)
+        _raise_to(direct, T)
+        _raise_to(scattered, signal_weights[row] @ np.exp(-G[row][:, None] * z) - T)
     if learned and scattered.max() <= tolerance:
         scattered = np.maximum(scattered, direct)
-    shown = np.flatnonzero(scattered > tolerance)
-    if len(shown) == 0:
+    places = np.flatnonzero(scattered > tolerance)
+    if len(places) == 0:
         return near, far, 0.0
-    first, last = max(shown[0] - 1, 0), min(shown[-1] + 1, len(z) - 1)
+    first, last = max(places[0] - 1, 0), min(places[-1] + 1, len(z) - 1)
     return near if first == 0 else z[first], z[last], scattered.max()
 
 
 @compiled
-def _take_most(most: Array, T: Array) -> None:
-    """Raise `most` (N) to the light that transmittances (3xN, or 9xN of matrices) make of any
-    scene, or take.
+def _raise_to(largest: Array, T: Array) -> None:
+    """Raise `largest` (N) to the most light that transmittances (3xN, or 9xN of matrices) add to
+    any scene, or take from it.
     """
-    each = len(T) // 3
-    for row in range(0, len(T), each):
-        for n in range(len(most)):
+    count = len(T) // 3
+    for row in range(0, len(T), count):
+        for n in range(len(largest)):
             # with the colour in 0…1 that adds up all that is positive, or negative
-            made = taken = 0.0
-            for j in range(row, row + each):
-                made += max(T[j, n], 0.0)
-                taken -= min(T[j, n], 0.0)
-            most[n] = max(most[n], made, taken)
+            positive = negative = 0.0
+            for j in range(row, row + count):
+                positive += max(T[j, n], 0.0)
+                negative -= min(T[j, n], 0.0)
+            largest[n] = max(largest[n], positive, negative)
 
 
 @compiled
 def _farthest_blurred(G: Array, signal_weights: Array) -> float:
-    """The distance, m, from which on a pixel asks nothing of the blur, as all of the signal has
-    faded below any tolerance; `FARTHEST` if there is none.
+    """Distance, m, beyond which a pixel needs no blur, as all of the signal has faded below any
+    tolerance; `FARTHEST` if there is none.
     """
     slowest = math.inf
     for row in range(len(G)):
@@ -284,10 +278,10 @@ def _farthest_blurred(G: Array, signal_weights: Array) -> float:
 
 def plan_for(z: Tensor, medium: Medium, size: tuple[int, int], tolerance: float) -> BlurPlan:
     """The plan for effective distances z, m, in a picture of (height, width) `size`, rounded so
-    that similar ones share it. Gradients of the medium take a finer one.
+    that similar distances share it. Gradients of the medium take a finer plan.
     """
-    seen = Weights.of(medium)
-    return plan_between(blurred_between(z, seen), medium, size, tolerance, seen)
+    weights = Weights.of(medium)
+    return plan_between(blurred_between(z, weights), medium, size, tolerance, weights)
 
 
 def plan_between(
@@ -295,19 +289,19 @@ def plan_between(
     medium: Medium,
     size: tuple[int, int],
     tolerance: float,
-    seen: Weights,
+    weights: Weights,
 ) -> BlurPlan:
-    """As `plan_for`, of a medium as a camera sees it, between two distances, m."""
+    """`plan_for` between two distances, m, of a medium before a camera."""
     learned = torch.is_grad_enabled() and medium.requires_grad
-    margin = _MARGIN if learned else 1.0
-    demand = blur_demand(medium, ends, tolerance, learned=learned, margin=margin, seen=seen)
+    margin = _LEARNED_MARGIN if learned else 1.0
+    demand = blur_demand(medium, ends, tolerance, learned=learned, margin=margin, seen=weights)
     return demand.plan(size, shared=True)
 
 
-def blurred_between(z: Tensor, seen: Weights) -> tuple[float, float]:
-    """The nearest distance of a map, m, and the farthest of those at which blurs may show."""
+def blurred_between(z: Tensor, weights: Weights) -> tuple[float, float]:
+    """Nearest distance of a map, m, and the farthest at which blurs may show."""
     nearest, farthest = checks.extent(z)
-    end = _farthest_blurred(seen.G, seen.signal)
+    end = _farthest_blurred(weights.G, weights.signal)
     if farthest >= end < FARTHEST:
         blurred = z.detach()[z.detach() < end]
         farthest = float(blurred.max()) if blurred.numel() else nearest
@@ -317,19 +311,19 @@ def blurred_between(z: Tensor, seen: Weights) -> tuple[float, float]:
 def constant_plan(
     demand: BlurDemand, sides: tuple[int, int] | None, height: int, width: int
 ) -> BlurPlan:
-    """The plan of a demand for pictures of one size, or for all whose short side lies in `sides`; a
-    compiler takes it for a constant.
+    """The plan of a demand for pictures of one size, or for all whose short side lies in `sides`,
+    px. A compiler takes it for a constant.
     """
     return demand.plan((height, width)) if sides is None else demand.plan_all(sides)
 
 
-# what torch.compiler.assume_constant_result does, without its import of torch._dynamo (.7 s)
+# as torch.compiler.assume_constant_result does, without its import of torch._dynamo (.7 s)
 _CONSTANT: Any = constant_plan
 _CONSTANT._dynamo_marked_constant = True
 
 
 def distance_range_of(value: Any) -> tuple[float, float]:
-    """A `distance_range`; refuses what is none."""
+    """Check a `distance_range`."""
     near, far = checks.pair("distance_range", value, "(nearest, farthest) in metres")
     if not 0 <= near < far:
         expected = "0 ≤ nearest < farthest in metres"
@@ -338,7 +332,7 @@ def distance_range_of(value: Any) -> tuple[float, float]:
 
 
 def sides_of(value: Any) -> tuple[int, int]:
-    """A range of short sides; refuses what is none."""
+    """Check a range of short sides, px."""
     smallest, largest = checks.pair("sides", value, "(smallest, largest) short side in px")
     whole = smallest.is_integer() and largest.is_integer()
     if not (whole and 1 <= smallest <= largest <= EVERY_SIDE[1]):

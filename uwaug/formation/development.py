@@ -1,4 +1,4 @@
-"""Development: what a camera does between its sensor and a file.
+"""Development: the steps of a camera between its sensor and a file.
 
 In linear light, after the sum of all terms, in this order:
 
@@ -10,8 +10,8 @@ In linear light, after the sum of all terms, in this order:
     gamut           colours outside of sRGB, which have negative channels, move inside
     tone            a curve through black, mid-grey and white
 
-The three after the noise are linear: one gain, or one matrix, for each picture. What depends on it
-is measured at some pixels, spread over it, of light that is neither blurred nor noisy: both add
+The three after the noise are linear: one gain, or one matrix, for each picture. If they depend on
+the picture, its light is measured at some pixels spread over it, without blur and noise, which add
 none.
 """
 
@@ -38,10 +38,10 @@ MID_GREY = 0.18
 """Linear light that a change of contrast leaves as it is."""
 
 GAINS = (1 / 8, 64.0)
-"""Of a metered exposure, −3 to +6 stops: 6 is what a camera has between ISO 100 and 6400."""
+"""Smallest and largest gain of a metered exposure, −3 to +6 stops: from ISO 100 to 6400 are 6."""
 
 MOST = 16.0
-"""Of the ratio of luminance to a channel's mean that a white balance makes up for."""
+"""Largest ratio of luminance to a channel's mean that a white balance makes up for."""
 
 GAMUT_FROM = 0.75
 """Distance from grey, (max − c)/max, from which on colours are compressed. 1 is where a channel
@@ -49,8 +49,8 @@ reaches 0."""
 
 _BEYOND = 1 / (1 - GAMUT_FROM)
 
-_STRAIGHT = 1e6
-"""Stands for the infinite offset of a curve that is straight."""
+_STRAIGHT_OFFSET = 1e6
+"""Stands for the infinite offset of a straight curve."""
 
 TOE = 1e-4
 """Linear light below which the curve of tone is straight: curves of less contrast are infinitely
@@ -58,21 +58,21 @@ steep at 0.
 """
 
 METERED = 8192
-"""Pixels at which the light is measured. Spread by a quasi-random sequence, they see stripes and
-rows of any period, and pictures of any size; the mean luminance of noise is right within 1 %. A
-grid of every fourth pixel is off by 10 % at 16 px and blind to stripes of its own period.
+"""Number of pixels at which the light is measured. Spread by a quasi-random sequence, they see
+stripes and rows of any period in pictures of any size, and the mean luminance of noise is right
+within 1 %. (A grid of every fourth pixel is off by 10 % at 16 px.)
 """
 
 BURNT = 0.05
-"""Of the metered pixels: may burn out under lamps, before the stops. (.02: white things at the lens
-had no drawing; weights of the centre: no nearer to photographs.)
-"""
+"""Share of the metered pixels that may burn out under lamps, before the stops."""
 
 _BITS = 20
 TURN = 1 << _BITS
+"""A whole side, in the unit of `STEPS`."""
+
 STEPS = (791_547, 597_521)
-"""Of the sequence along rows and columns, of `TURN` for a whole side: 1/x and 1/x² with x³ = x + 1
-(Roberts 2018, the R₂ sequence), as odd whole numbers, which ONNX Runtime multiplies exactly.
+"""Steps between metered pixels along rows and columns: 1/x and 1/x² with x³ = x + 1 (Roberts 2018,
+the R₂ sequence), as odd whole numbers, which ONNX Runtime multiplies exactly.
 """
 
 
@@ -83,18 +83,18 @@ DOMAINS = {
     "gamut": (0.0, 1.0),
     "tone": (0.25, 4.0),
 }
-"""Least and largest value of each number of a development."""
+"""Smallest and largest value of each number of a development."""
 
 
 @plain
 @dataclass(frozen=True)
 class Development:
-    """What a camera does between its sensor and a file; nothing by default.
+    """The steps of a camera between its sensor and a file; none by default.
 
     Attributes:
         exposure: −10…10 stops; or "auto", which stands for 0 stops, metered.
-        white_balance: share of a grey-world correction, up to 1; 0 and less is none. Luminance is
-            kept. Or three numbers that channels are multiplied by, as a camera's that was set.
+        white_balance: share of a grey-world correction, up to 1, which keeps luminance; 0 and less
+            for none. Or three factors of the channels, as of a camera that was set.
         saturation: 0 for grey, 1 to leave colours as they are, up to 4.
         gamut: share of gamut compression, 0…1. 0 clips negative channels, so that saturated colours
             turn flat; 1 squeezes distances from grey, (max − c)/max, above .75 to below 1, along
@@ -103,12 +103,12 @@ class Development:
         tone: slope of the curve about mid-grey, .25…4: c·k/(p + k) in stops a stop with
             p = .18^c and k = .82·p/(.18 − p); black, mid-grey and white stay. Light above white
             goes on along the curve's slope there.
-        metered: whether the exposure's stops are on top of one gain for each picture, from 1/8 to
-            64, that keeps the mean luminance of the scene, and its farthest veil at or below white;
-            under a `Light` all but the brightest 5 % of what is seen. None: if exposure is "auto".
+        metered: True for a gain of each picture, 1/8…64, below the exposure's stops. It keeps the
+            mean luminance of the scene, and the farthest veil at or below white; under a `Light`
+            all but the brightest 5 % of the pixels. None meters if exposure is "auto".
         noise: the sensor, see `uwaug.Sensor`; None for light without noise.
 
-    `stack` makes one of several, whose numbers are tensors (B).
+    Numbers may be tensors (B), as those of `stack`.
 
     Raises:
         TypeError, ValueError: if a number is none, or outside of its range; or if the exposure is
@@ -143,7 +143,7 @@ class Development:
 
     @staticmethod
     def stack(developments: "Sequence[Development]", like: Tensor) -> "Development":
-        """One for each picture of a batch, on the device of a tensor; all metered or none."""
+        """Join the developments of a batch, all metered or none, on the device of `like`."""
         columns = [[getattr(d, name) for d in developments] for name in DOMAINS]
         numbers = torch.tensor(columns, dtype=like.dtype).to(like.device)
         named = dict(zip(DOMAINS, numbers, strict=True))
@@ -153,32 +153,32 @@ class Development:
 
     @property
     def brightening(self) -> float:
-        """By how much it may multiply small differences, without meter and white balance."""
+        """Factor by which small differences may grow, without meter and white balance."""
         return float(2.0 ** float(self.exposure)) * max(float(self.saturation), 1.0)
 
     def gain(self, J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Tensor:
-        """What its linear part multiplies the light of each picture by: one number (B or 1, 1), a
-        number for each channel (B or 1, 3), or a matrix (B or 1, 3, 3).
+        """Gain of the linear steps for each picture: one number (B or 1, 1), a number for each
+        channel (B or 1, 3), or a matrix (B or 1, 3, 3).
 
         Args:
             J (Bx3xHxW tensor): linear light of the scene.
             z (Bx1xHxW tensor): effective distance, m.
-            medium: what lies between.
-            T: the curves at every pixel, where they are not the medium's.
+            medium: one row, or one for each picture.
+            T: curves at every pixel that stand for the medium's, as under lamps.
         """
         return self.gain_of(metered(J, z, medium, T) if self.measures else None, J)
 
     @property
     def measures(self) -> bool:
-        """Whether the gain depends on the picture."""
+        """True if the gain depends on the picture."""
         share = self.white_balance
-        return bool(self.metered) or (not isinstance(share, tuple) and _some(share))
+        return bool(self.metered) or (not isinstance(share, tuple) and _balances(share))
 
     def settled(
         self, J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None
     ) -> "Development":
-        """This development with the exposure and the white balance that one picture would get, for
-        others of the same scene; arguments as for `gain`.
+        """The development with the exposure and the white balance that one picture gets, for others
+        of the same scene; arguments as for `gain`.
         """
         if not self.measures:
             return self
@@ -192,14 +192,14 @@ class Development:
         return replace(self, exposure=exposure, white_balance=share, metered=False)
 
     def gain_of(self, means: "Means | None", like: Tensor) -> Tensor:
-        """The gain for what is measured, see `metered`, of the type of a tensor."""
+        """The `gain` for what `metered` has measured, of the type of `like`."""
         saturation = _of_rows(self.saturation, 3)
         gain = like.new_ones(1, 1) * 2.0 ** _of_rows(self.exposure, 2)
         if means is not None and self.metered:
             gain = gain * _automatic(means)
         if isinstance(self.white_balance, tuple):
             gain = gain * like.new_tensor(self.white_balance)
-        elif means is not None and _some(self.white_balance):
+        elif means is not None and _balances(self.white_balance):
             gain = gain * _balance(means.positive, _of_rows(self.white_balance, 2))
         if isinstance(saturation, float) and saturation == 1:
             return gain
@@ -208,20 +208,20 @@ class Development:
         return (grey + saturation * (unit - grey)) * gain[:, None]
 
     def shaped(self, light: Tensor) -> Tensor:
-        """Light (Bx3xHxW) after what is not linear."""
+        """Light (Bx3xHxW) after gamut and tone."""
         gamut, tone = _of_rows(self.gamut, 4), _of_rows(self.tone, 4)
         if isinstance(gamut, Tensor) or gamut > 0:
             light = compressed(light, gamut)
         return curved(light, tone) if isinstance(tone, Tensor) or tone != 1 else light
 
 
-def _some(share: float | Tensor) -> bool:
-    """Whether a white balance does anything; of those of several pictures it is not asked."""
+def _balances(share: float | Tensor) -> bool:
+    """True if a white balance may change a picture; the values of a tensor are not looked at."""
     return isinstance(share, Tensor) or share > 0
 
 
 def _of_rows(number: Any, axes: int) -> float | Tensor:
-    """A number, or those of each picture (B) in so many axes."""
+    """A number, or a tensor (B) as one with so many axes."""
     return number.reshape(-1, *[1] * (axes - 1)) if isinstance(number, Tensor) else float(number)
 
 
@@ -229,18 +229,22 @@ NEUTRAL = Development()
 
 
 def exposed(light: Tensor, gain: Tensor) -> Tensor:
-    """Light (Bx3xHxW) as multiplied by a gain, see `Development.gain`."""
+    """Light (Bx3xHxW) times a gain, see `Development.gain`."""
     if gain.ndim == 2:
         return light * gain[..., None, None]
     return torch.unflatten(gain @ light.flatten(2), -1, light.shape[-2:])
 
 
 class Means(NamedTuple):
-    """What is measured of each picture: mean light of the scene, of what arrives of it, and of
-    what is positive of that, as no picture shows the negative channels of colours out of sRGB
-    (B, 3 each); and the highlight that a camera protects (B, 1): the veil of the farthest pixel;
-    under lamps, which light what is near many times as much as the rest, the luminance that
-    `BURNT` of the pixels exceed.
+    """Light of each picture as a camera measures it.
+
+    Attributes:
+        scene (Bx3 tensor): mean light of the scene.
+        arriving (Bx3 tensor): mean light that arrives.
+        positive (Bx3 tensor): the same without negative channels, of colours outside sRGB.
+        highlight (Bx1 tensor): light that stays at or below white: the veil of the farthest pixel;
+            under lamps, which light near things far more, the luminance that `BURNT` of the pixels
+            exceed.
     """
 
     scene: Tensor
@@ -266,7 +270,7 @@ def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Me
 
 
 def farthest_veil(z: Tensor, medium: Medium) -> Tensor:
-    """What light the water adds before the farthest pixel, in the brightest channel (B, 1)."""
+    """Light that the water adds before the farthest pixel, in the brightest channel (B, 1)."""
     farthest = z.amax((-3, -2, -1), keepdim=True)
     veil = medium.curves(farthest).veil
     for term in medium.further_terms(farthest).values():
@@ -275,9 +279,7 @@ def farthest_veil(z: Tensor, medium: Medium) -> Tensor:
 
 
 def _automatic(means: Means) -> Tensor:
-    """The gain (B, 1) with which pictures have the mean luminance of their scenes; 1 where no light
-    arrives.
-    """
+    """Gain (B, 1) that gives pictures the mean luminance of their scenes; 1 without any light."""
     before, after = _luminance(means.scene), _luminance(means.arriving)
     dark = after <= 0
     gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))
@@ -285,7 +287,7 @@ def _automatic(means: Means) -> Tensor:
 
 
 def _balance(means: Tensor, share: float | Tensor) -> Tensor:
-    """What a white balance multiplies each channel by (B, 3), of mean light (B, 3)."""
+    """Factors (B, 3) of a white balance, for mean light (B, 3)."""
     share = share.clamp(min=0.0) if isinstance(share, Tensor) else share
     before = _luminance(means)
     lit = before > 0
@@ -306,13 +308,13 @@ def gain_at(
     factors: Array,
     saturation: float,
 ) -> Array:
-    """What `Development.gain_of` is for one picture, as a matrix (3, 3), for the loops.
+    """`Development.gain_of` of one picture, as a matrix (3, 3), for the loops.
 
     Args:
-        means (3x3 array): of the scene, of what arrives, of what is positive of that, see `Means`.
+        means (3x3 array): light of the scene, arriving and positive, see `Means`.
         highlight: see `Means`.
-        stops, metered, white_balance, saturation: of the development.
-        factors (3 array): by which a white balance that was set multiplies the channels.
+        stops, metered, white_balance, saturation: numbers of the development.
+        factors (3 array): factors of a white balance that was set.
     """
     luminance = np.array(LUMINANCE)
     gains = factors * 2.0**stops
@@ -330,65 +332,66 @@ def gain_at(
     for row in range(3):
         matrix[row] = (1 - saturation) * luminance
         matrix[row, row] += saturation
-    matrix *= gains  # which come first
+    matrix *= gains  # columns, as gains come first
     return matrix
 
 
 def metering_points(height: int, width: int, device: torch.device) -> Tensor:
-    """The flat indices of some pixels, spread evenly over a picture."""
+    """Flat indices (`METERED`) of pixels that are spread evenly over a picture."""
     traced = torch.compiler.is_compiling() or not isinstance(height, int)
     return (_points if traced else _cached_points)(height, width, device)
 
 
 def _points(height: int, width: int, device: torch.device) -> Tensor:
     count = torch.arange(METERED, dtype=torch.int64, device=device)
-    # of a whole side, and back into pixels: a remainder and a quotient take five times as long
+    # by bits of a whole side: a remainder and a quotient take five times as long
     row, column = (((count * step + TURN // 2) & (TURN - 1)) for step in STEPS)
     return (row * height >> _BITS) * width + (column * width >> _BITS)
 
 
 @lru_cache(maxsize=8)
 def _cached_points(height: int, width: int, device: torch.device) -> Tensor:
-    # what inference mode makes cannot be used outside
+    # tensors of inference mode cannot be used outside
     with torch.inference_mode(False):
         return _points(height, width, device)
 
 
 def _at(values: Tensor, pixels: Tensor) -> Tensor:
-    """Some pixels of a picture or map (Bx…xHxW), as one row (Bx…x1xN)."""
+    """Pixels (N flat indices) of a picture or map (Bx…xHxW), as one row (Bx…x1xN)."""
     flat = values.flatten(-2)
     # index_select takes 18 times as long
     return flat.gather(-1, pixels.expand(*flat.shape[:-1], -1))[..., None, :]
 
 
 def _luminance(light: Tensor) -> Tensor:
-    """Of colours (B, 3): (B, 1)."""
+    """Luminance (B, 1) of colours (B, 3)."""
     return (light * light.new_tensor(LUMINANCE)).sum(-1, keepdim=True)
 
 
 def compressed(light: Tensor, share: float | Tensor) -> Tensor:
-    """Colours outside of the gamut, moved inside by a share of the way; others stay."""
+    """Light (Bx3xHxW) with colours outside of the gamut moved inside by a share of the way."""
     brightest = light.amax(1, keepdim=True)
     lit = brightest > 0
     distance = 1 - light / torch.where(lit, brightest, 1.0)
     beyond = (distance - GAMUT_FROM).clamp(min=0.0) * _BEYOND
     squeezed = beyond * (1 + beyond * beyond).rsqrt()
-    less = (beyond - squeezed) * ((1 - GAMUT_FROM) * share)
+    change = (beyond - squeezed) * ((1 - GAMUT_FROM) * share)
     # the limit where no channel is above 0, as below the black point
-    return light + torch.where(lit, less * brightest, -share * light)
+    return light + torch.where(lit, change * brightest, -share * light)
 
 
 def tone_offset(contrast: float) -> float:
-    """K of the curve, for which mid-grey stays; of a straight one, as much as makes it that."""
+    """Offset k of the curve for which mid-grey stays; a large one for a straight curve."""
     grey = MID_GREY**contrast
-    return _STRAIGHT if contrast == 1 else (1 - MID_GREY) * grey / (MID_GREY - grey)
+    return _STRAIGHT_OFFSET if contrast == 1 else (1 - MID_GREY) * grey / (MID_GREY - grey)
 
 
 def curved(light: Tensor, contrast: float | Tensor) -> Tensor:
-    """Light along the curve (1 + k)·x^c/(x^c + k), odd, through 0, mid-grey and 1; straight below
-    `TOE`, and from 1 on, as curves of c < 1 have a pole beyond. Contrast: a number, or (Bx1x1x1).
+    """Light along the curve (1 + k)·x^c/(x^c + k), odd, through 0, mid-grey and 1, for a contrast c
+    (a number, or Bx1x1x1). It is straight below `TOE`, and above 1, where curves of c < 1 have a
+    pole.
     """
-    k: Any = _STRAIGHT
+    k: Any = _STRAIGHT_OFFSET
     if isinstance(contrast, Tensor):
         grey = MID_GREY**contrast
         below = MID_GREY - grey

@@ -1,4 +1,4 @@
-"""Pictures that each have a medium of their own, formed where their values are."""
+"""Image formation of pictures that each have a medium, on the device of their values."""
 
 from collections.abc import Sequence
 
@@ -16,10 +16,10 @@ from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
 _GREY = 0.25
-"""Linear light of a scene that nobody has looked at."""
+"""Linear light that stands for a scene whose values are not looked at."""
 
-_WALL = (9, 12)
-"""px: so many rays see that lamps light a part of it."""
+_WALL_PX = (9, 12)
+"""Height and width of a wall that stands for a scene under lamps, which light a part of it."""
 
 
 def form_each(
@@ -36,38 +36,39 @@ def form_each(
 ) -> Tensor:
     """Pictures (Bx3xHxW) as cameras store them, see `uwaug.formation.image.form`.
 
-    On the host one after the other, as what one of them needs then stays in the caches. (By
+    On the host they are formed one after the other, which keeps the data of one in the caches. (By
     PyTorch, 16 of 256² take 15 ms each; all at once, with rates padded to as many for all, 29.) On
-    a device at once, then those with lamps one by one, without a look at values.
+    a device pictures by daylight are formed at once, then those with lamps one by one, without a
+    look at values.
 
     Args:
-        images, z, color_space, metres: as for `form`, which says what they are.
-        media, developments, lights: of one row, one for each picture; None for daylight.
-        spans: nearest, median and farthest effective distance of each, m, for which blurs are
-            planned on a device, in a scene of grey: nobody waits there for a look at its light.
-        alike: whether all have one law of widths, and are metered or none is.
+        images, z, color_space, metres: as for `form`.
+        media, developments, lights: one row for each picture; a light is None for daylight.
+        spans: nearest, median and farthest effective distance of each picture, m. On a device blurs
+            are planned for these, in a scene of grey.
+        alike: True if all have one width law, and all or none are metered.
     """
     planned = alike and not checks.on_host(images)
     by_day = [i for i, light in enumerate(lights) if light is None] if planned else []
     results: dict[int, Tensor] = {}
     if by_day:
-        some = slice(None) if len(by_day) == len(images) else by_day
-        formed = _at_once(
-            images[some],
-            z[some],
+        rows = slice(None) if len(by_day) == len(images) else by_day
+        pictures = _at_once(
+            images[rows],
+            z[rows],
             [media[i] for i in by_day],
             [developments[i] for i in by_day],
             [spans[i] for i in by_day],
             color_space,
         )
         if len(by_day) == len(images):
-            return formed
-        results |= dict(zip(by_day, torch.split(formed, 1), strict=True))
+            return pictures
+        results |= dict(zip(by_day, torch.split(pictures, 1), strict=True))
     for i in sorted({*range(len(images))} - {*by_day}):
         light, plans = lights[i], list[BlurPlan]()
         if planned and light is not None:
-            seen = _lit_grey(media[i], developments[i], light, spans[i][1])
-            plans = _plans([seen], [spans[i]], z)
+            brightened = _lit_grey(media[i], developments[i], light, spans[i][1])
+            plans = _plans([brightened], [spans[i]], z)
         results[i] = form(
             images[i : i + 1],
             z[i : i + 1],
@@ -90,7 +91,7 @@ def _at_once(
     spans: Sequence[tuple[float, float, float]],
     color_space: ColorSpace,
 ) -> Tensor:
-    """Pictures by daylight, without a look at their values."""
+    """Form pictures by daylight, without a look at their values."""
     medium, development = Medium.stack(media), Development.stack(developments, z)
     grey = _of_grey(medium, developments, spans)
     plans = _plans([grey[i] for i in range(len(spans))], spans, z)
@@ -98,20 +99,21 @@ def _at_once(
 
 
 def _plans(
-    seen: Sequence[Medium], spans: Sequence[tuple[float, float, float]], z: Tensor
+    media: Sequence[Medium], spans: Sequence[tuple[float, float, float]], z: Tensor
 ) -> list[BlurPlan]:
-    """The blur of each picture of the size of a map, for a medium as its camera sees it."""
+    """Blurs of pictures of the size of a map, for media as cameras brighten them."""
     size = (z.shape[-2], z.shape[-1])
     demands = (
-        blur_demand(medium, (near, far)) for medium, (near, _, far) in zip(seen, spans, strict=True)
+        blur_demand(medium, (near, far))
+        for medium, (near, _, far) in zip(media, spans, strict=True)
     )
     return [demand.plan(size, shared=True) for demand in demands]
 
 
 def _lit_grey(medium: Medium, development: Development, light: Light, median: float) -> Medium:
     """A medium as a camera brightens it where lamps light a grey wall at the median distance."""
-    z = torch.full((1, 1, *_WALL), min(median, FARTHEST), dtype=torch.float64)
-    grey, water = z.new_full((1, 3, *_WALL), _GREY), medium.to(z)
+    z = torch.full((1, 1, *_WALL_PX), min(median, FARTHEST), dtype=torch.float64)
+    grey, water = z.new_full((1, 3, *_WALL_PX), _GREY), medium.to(z)
     gain = development.gain(grey, z, water, light.curves(water, z))
     return light.planned(water).brightened(gain)
 
@@ -123,9 +125,9 @@ def _of_grey(
 ) -> Medium:
     """Media as a camera brightens them where the scene is grey and all at its median distance."""
     rows = torch.tensor(spans, dtype=torch.float64)
-    z, far = rows.T[1:, :, None, None, None].clamp(max=FARTHEST)
+    z, farthest = rows.T[1:, :, None, None, None].clamp(max=FARTHEST)
     grey = z.new_full((len(z), 3, 1, 1), _GREY)
     arriving = medium.image(z, grey, grey).flatten(1)
-    veil = medium.curves(far).veil.flatten(1).amax(1, keepdim=True)
+    veil = medium.curves(farthest).veil.flatten(1).amax(1, keepdim=True)
     means = Means(grey.flatten(1), arriving, arriving.clamp(min=0.0), veil)
     return medium.brightened(Development.stack(developments, z).gain_of(means, z))

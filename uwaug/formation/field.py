@@ -1,6 +1,4 @@
-"""The medium field m(x): how much denser or thinner the water is along each ray. It multiplies the
-distance.
-"""
+"""The medium field m(x): relative density of the water along each ray, a factor of the distance."""
 
 import math
 from collections.abc import Sequence
@@ -31,21 +29,20 @@ def gaussian_random_field(
     longest side is 32 px or more (at the default exponent; below it, and at smaller exponents, the
     size limits the detail).
 
-    Each is mapped affinely so that its least and largest value are `low` and `high`. This bounds
-    the distance strictly, where a fixed multiple of the standard deviation would have to be
-    clipped. The price: one field's values are not Gaussian, and its mean varies from draw to draw
-    (at α = 4 by .08 of the range, one standard deviation). Noise and its negative are equally
-    likely, so the mean over draws is exactly (low + high)/2.
+    Each field is mapped affinely so that its smallest and largest value are `low` and `high`, which
+    bounds the distance. So the values of one field are not Gaussian, and its mean varies from draw
+    to draw (at α = 4 by .08 of the range, one standard deviation). The mean over draws is
+    (low + high)/2.
 
     Args:
         shape: (B, 1, H, W) as a distance map has it, (B, H, W), or (H, W) for one field; pixels.
         exponent: α ≥ 0 of the power spectrum |k|^−α; more is smoother.
-        low: the least value, ≥ 0.
-        high: the largest value, ≥ `low`.
+        low: smallest value, ≥ 0.
+        high: largest value, ≥ `low`.
         generator: source of randomness; the global generator of the device if None. In a DataLoader
-            leave it None: a generator of one's own repeats the same numbers in every worker.
-        dtype: of the result; torch's default if None. The draws do not depend on it.
-        device: of the result; torch's default if None.
+            leave it None: your own generator repeats the same numbers in every worker.
+        dtype: type of the result; torch's default if None. The draws do not depend on it.
+        device: device of the result; torch's default if None.
 
     Returns:
         (B, 1, H, W), each field reaching from `low` to `high` (to rounding). A field of one pixel
@@ -84,8 +81,8 @@ def random_fields(
     like: Tensor,
     moved: Sequence[float],
 ) -> Tensor:
-    """The fields (Bx1xHxW) that seeds of torch's generator on the CPU stand for, on the device of a
-    tensor, in float32; each moved to the right by so many px, into what it is beyond the left edge.
+    """Fields (Bx1xHxW) of seeds of torch's generator on the CPU, on the device of `like`, in
+    float32. Each moves to the right by so many px, and goes on beyond its left edge.
     """
     n = 2 * _cutoff(4.0, max(size)) + 1
     noise = torch.empty(len(seeds), n, n, dtype=torch.float32, device="cpu")
@@ -105,35 +102,36 @@ def field_of(
     high: float,
     moved: Sequence[float] = (),
 ) -> Tensor:
-    """The fields that white noise (Bxnxn, n odd) stands for. Index i of its last two axes stands
-    for (i + 1)//2 cycles per torus, as a sine if i is odd, else a cosine.
+    """Fields (Bx1xHxW) of white noise (Bxnxn, n odd). Index i of its last two axes stands for
+    (i + 1)//2 cycles per torus, as a sine if i is odd, else a cosine.
     """
     waves = _waves(noise, height, width, exponent)
     rows = waves.down @ (noise * waves.amplitude)
-    field = here = (rows @ waves.across)[:, None]
+    fields = still = (rows @ waves.across)[:, None]
     if any(moved):
         longest, count = max(height, width), noise.shape[-1]
         across = torch.stack([_cosines(width, longest, noise, count, px) for px in moved])
-        here = (rows @ across.mT)[:, None]
-    # the ends are those of the field that has not moved: else all of it would change as it moves
-    if checks.on_host(field) and len(field):
-        each = zip(torch.split(here, 1), field, strict=True)
-        stretched = [_stretched(some, *checks.extent(whole), low, high) for some, whole in each]
+        fields = (rows @ across.mT)[:, None]
+    # by the ends of the field that has not moved: else all of it would change as it moves
+    if checks.on_host(still) and len(still):
+        pairs = zip(torch.split(fields, 1), still, strict=True)
+        stretched = [_stretched(field, *checks.extent(x), low, high) for field, x in pairs]
         return stretched[0] if len(stretched) == 1 else torch.cat(stretched)
-    least, largest = field.amin((-2, -1), keepdim=True), field.amax((-2, -1), keepdim=True)
-    span = largest - least
+    smallest, largest = still.amin((-2, -1), keepdim=True), still.amax((-2, -1), keepdim=True)
+    span = largest - smallest
     scale = torch.where(span > 0, (high - low) / span, 0.0)
     # (torch.addcmul takes three times as long)
-    middle = (low + high) / 2 - (least + largest) / 2 * scale
-    return (here * scale).add_(middle).clamp_(low, high)
+    offset = (low + high) / 2 - (smallest + largest) / 2 * scale
+    return (fields * scale).add_(offset).clamp_(low, high)
 
 
-def _stretched(field: Tensor, least: float, largest: float, low: float, high: float) -> Tensor:
-    """A field between two values, mapped to lie between two others. (Ends along dimensions take
-    five times as long.)
+def _stretched(field: Tensor, smallest: float, largest: float, low: float, high: float) -> Tensor:
+    """A field of values smallest…largest mapped to low…high. (Tensors as ends take five times as
+    long.)
     """
-    scale = (high - low) / (largest - least) if largest > least else 0.0
-    return (field * scale).add_((low + high) / 2 - (least + largest) / 2 * scale).clamp_(low, high)
+    scale = (high - low) / (largest - smallest) if largest > smallest else 0.0
+    offset = (low + high) / 2 - (smallest + largest) / 2 * scale
+    return (field * scale).add_(offset).clamp_(low, high)
 
 
 class _Waves(NamedTuple):
@@ -145,17 +143,17 @@ class _Waves(NamedTuple):
 
 
 _CACHE: Cache[_Waves] = Cache(4 * 2**20)
-"""Of the sizes used last: to make one takes as long as the sum does at 256²."""
+"""Waves of the sizes used last: to make them takes as long as the sum of a field at 256²."""
 
 
 def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
-    """The waves of some noise, of which only the type and the last size are looked at."""
+    """Waves for noise, by its type and last size, from the cache where that is possible."""
     if type(noise) is not Tensor or torch.compiler.is_compiling():
         return _unit_waves(noise, height, width, exponent)
     key = (height, width, exponent, noise.shape[-1], noise.dtype, noise.device)
     waves = _CACHE.get(key)
     if waves is None:
-        # what inference mode makes cannot be used outside
+        # tensors of inference mode cannot be used outside
         with torch.inference_mode(False), torch.no_grad():
             waves = _unit_waves(noise.new_empty(noise.shape[-1]), height, width, exponent)
         _CACHE.put(key, waves, sum(t.numel() * t.element_size() for t in waves))
@@ -175,7 +173,7 @@ def _unit_waves(noise: Tensor, height: int, width: int, exponent: float) -> _Wav
 
 
 def _cosines(side: int, longest: int, like: Tensor, count: int, moved: float = 0.0) -> Tensor:
-    """Waves (side, count) at pixel centres, 0 in the middle; moved by as many px."""
+    """Waves (side, count) at pixel centres, with 0 in the middle, moved by so many px."""
     pixel, index = (torch.arange(n, dtype=like.dtype, device=like.device) for n in (side, count))
     cycles, phase = ((index + 1) / 2).floor(), index % 2 * (math.pi / 2)
     centred = (pixel - (side - 1) / 2 - moved)[:, None]
@@ -183,8 +181,8 @@ def _cosines(side: int, longest: int, like: Tensor, count: int, moved: float = 0
 
 
 def _cutoff(exponent: float, longest: int) -> int:
-    """How many cycles per torus to model: until what is left has 5 % of the rms, .6 % of a
-    distance under a field of .7…1.3, or the pixels cannot show more.
+    """Number of cycles per torus to model: as many as the pixels show, or until the rest has 5 % of
+    the rms, .6 % of a distance under a field of .7…1.3.
 
     The share of the variance beyond K is (K/0.7)^(2−α): the integral of |k|^−α outside K over its
     sum on the lattice.

@@ -32,9 +32,9 @@ from uwaug.light import Light
 from uwaug.light.snow import snowing
 from uwaug.optics.medium import Medium
 
-_BAND = 1 << 18
-"""Pixels that are decoded, mixed and developed at a time, so that they stay in the caches: half of
-the time at 1024 px, as much at 512.
+_BAND_PIXELS = 1 << 18
+"""Pixels that are decoded, mixed and developed at a time, so that they stay in the caches. This
+halves the time at 1024 px; at 512 px it is the same.
 """
 
 Blurs = Callable[[Tensor, BlurPlan], list[Tensor]]
@@ -62,14 +62,14 @@ def form(
         image (Bx3xHxW tensor): uint8 or floating point, in the color space.
         z (Bx1xHxW tensor): effective distances, m, finite, ≥ 0; float32 or float64.
         medium: one row, or one for each picture.
-        development: what the camera makes of the light.
+        development: steps of the camera.
         light: lamps; None for daylight as the medium has it.
-        metres (Bx1xHxW): distances, m, where a field multiplies them in z: for lamps.
-        plan: of the blur; None for one for the distances at hand.
-        plans: one for each picture, in its place.
-        tolerance: of that plan.
-        blurs: what computes the blurs of the plan.
-        normals (Bx3xHxW): of which the sensor's noise is made; None draws them.
+        metres (Bx1xHxW): distances, m, for lamps, where a field multiplies them in z.
+        plan: plan of the blur; None plans for the distances at hand.
+        plans: one plan for each picture, in place of `plan`.
+        tolerance: tolerance of a plan for the distances at hand.
+        blurs: function that computes the blurs of the plan.
+        normals (Bx3xHxW): normals of the sensor's noise; None draws them.
     """
     if image.numel() == 0 or z.numel() == 0:
         return _nothing(image, z)
@@ -84,8 +84,8 @@ def form(
     gain = development.gain(J, z, medium, T)
     if plans:
         pictures = [slice(i, i + 1) for i in range(len(J))]
-        each = zip(pictures, plans, strict=True)
-        soft = torch.cat([blurred_as_seen(J[i], z[i], medium[i], plan) for i, plan in each])
+        pairs = zip(pictures, plans, strict=True)
+        soft = torch.cat([blurred_as_seen(J[i], z[i], medium[i], plan) for i, plan in pairs])
     else:
         if plan is None:
             brightest = medium if light is None else light.planned(medium)
@@ -93,7 +93,7 @@ def form(
                 z, brightest.brightened(gain.detach()), (z.shape[-2], z.shape[-1]), tolerance
             )
         soft = blurred_as_seen(J, z, medium, plan, blurs)
-    # the camera is metered without it: with snow and without, the rest of a picture is the same
+    # after the gain: the camera is metered without snow, which changes nothing else in a picture
     T = snowing(T, medium, light, z, metres)
     largest = headroom(image) if color_space == "srgb" else 1.0
     sensor, noise = development.noise, () if normals is None else (normals,)
@@ -113,12 +113,12 @@ def form(
 
 
 def _in_bands(medium: Medium, function: Callable[..., Tensor], *images: Tensor) -> Tensor:
-    """A function of each pixel on its own, of images in bands of rows where nothing is learned."""
+    """Apply a function of single pixels to images, in bands of rows where nothing is learned."""
     if not checks.on_host(images[0]):
         return function(*images)
     if torch.is_grad_enabled() and (medium.requires_grad or checks.records(*images)):
         return function(*images)
-    rows = max(1, _BAND // images[0].shape[-1])
+    rows = max(1, _BAND_PIXELS // images[0].shape[-1])
     if rows >= images[0].shape[-2]:
         return function(*images)
     bands = zip(*(torch.split(image, rows, -2) for image in images), strict=True)
@@ -126,14 +126,14 @@ def _in_bands(medium: Medium, function: Callable[..., Tensor], *images: Tensor) 
 
 
 def _nothing(image: Tensor, z: Tensor) -> Tensor:
-    """The picture of a batch, or of pictures, without pixels."""
+    """An empty picture, for an empty batch or images without pixels."""
     return image.expand(max(len(image), len(z)) if len(image) and len(z) else 0, -1, -1, -1)
 
 
 def blurred_as_seen(
     J: Tensor, z: Tensor, medium: Medium, plan: BlurPlan, blurs: Blurs = blurred
 ) -> Tensor:
-    """J (Bx3xHxW) as forward scatter blurs it: at each pixel by the width at its distance z."""
+    """J (Bx3xHxW) blurred by forward scatter, at each pixel by the width at its distance z."""
     if plan.sigmas == (0.0,) and not medium.requires_grad:
         return J
     stack, size = blurs(J, plan), (z.shape[-2], z.shape[-1])
@@ -174,9 +174,9 @@ def form_image(
         image (Bx3xHxW or 3xHxW tensor): J, linear light, 1 = white plate at the surface; may exceed
             [0, 1].
         distance (Bx1xHxW or 1xHxW tensor): z, metres along the ray, ≥ 0, times the medium field if
-            the water is uneven; +inf is open water. A batch of 1 serves all images. Where z is
-            +inf, the gradient of such a product to the field is NaN; and of lamps it does not say
-            how far they are: `Underwater(…)(image, z, field)` does right by both.
+            the water is uneven; +inf is open water. A batch of 1 serves all images. With a field,
+            `Underwater(…)(image, z, field)` also has gradients at +inf, and lamps at their true
+            distance.
         medium: one row, or as many as images. One image and B media give B images.
         light: lamps; None for daylight as the medium has it.
         tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;

@@ -1,4 +1,4 @@
-"""What image formation is given, checked at its doors."""
+"""Checks of the inputs of image formation."""
 
 import math
 
@@ -22,7 +22,7 @@ def validate(
     color_space: ColorSpace,
     light: Light | None = None,
 ) -> None:
-    """Refuse what cannot be formed: types, shapes, batches, devices, values, wrong distances."""
+    """Refuse inputs of a wrong type, shape, batch, device or value."""
     checks.instance("medium", medium, Medium, "; see Medium.from_water")
     if light is not None:
         checks.instance("light", light, Light)
@@ -50,7 +50,7 @@ def validate(
 def effective_distance(distance: Tensor, field: Tensor | None, dtype: torch.dtype) -> Tensor:
     """m·z (Bx1xHxW), finite; +inf stands for open water."""
     z = (distance if distance.ndim == 4 else distance[None]).to(dtype).clamp(max=FARTHEST)
-    # compiled code does not look at its input: at least no distance is negative there
-    # (in newer releases of torch, clamp has no gradient at its ends, such as 0 m)
+    # compiled code does not check its input, where a distance may be negative. (Newer releases of
+    # torch have no gradient of clamp at its ends, such as 0 m)
     z = torch.where(z < 0, 0.0, z) if torch.compiler.is_compiling() else z
     return z if field is None else z * (field if field.ndim == 4 else field[None]).to(dtype)

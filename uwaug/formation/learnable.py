@@ -17,66 +17,64 @@ from uwaug.optics.point_spread import PointSpread
 Part = Literal["rates", "veil", "width"]
 
 _MIN_START = 1e-6
-"""Where learning starts from 0: a smaller number would hardly learn."""
+"""Smallest value at which learning starts: a smaller one would hardly learn."""
 
 _MIN_G = 1e-9
-"""1/m, of G: the gradient of V(0) = slope/G has no end as G falls to 0."""
+"""Smallest G, 1/m: the gradient of V(0) = slope/G grows without end as G falls to 0."""
 
 
 class FixedMedium(nn.Module):
-    """A medium whose tensors are buffers: it moves and is saved with a module. What of its width
-    law is no tensor is saved, too, and a state with another is refused.
+    """A medium whose tensors are buffers, so that it moves and is saved with a module. The rest of
+    its width law is saved, too, and a state with another law is refused.
     """
 
     def __init__(self, medium: Medium) -> None:
         super().__init__()
         self.start = medium.map(lambda t: t.detach().clone())
-        # what is one number for the whole batch in a width law stays a number: x² is faster than a
-        # power
+        # a number for the whole batch in a width law stays a number: x² is faster than a power
         law = self.start.point_spread.numbers()
         for name, value in self.start.parameters().items():
             if isinstance(law.get(name, value), Tensor):
                 self.register_buffer(name, value.clone())
 
     def forward(self) -> Medium:
-        """The medium at hand."""
+        """The medium of the buffers."""
         tensors: dict[str, Any] = dict(self.named_buffers())
         law = self.start.point_spread
-        of_law = {name: tensors.pop(name) for name in law.NUMBERS if name in tensors}
-        # a law is looked at when it is made, which torch.compile cannot do with numbers of its own
-        law = replace(law, **of_law) if of_law else law
+        numbers = {name: tensors.pop(name) for name in law.NUMBERS if name in tensors}
+        # a new law looks at its numbers, which torch.compile cannot do
+        law = replace(law, **numbers) if numbers else law
         return replace(self.start, **tensors, point_spread=law)
 
     def get_extra_state(self) -> Tensor:
-        """The width law: its shape, reference size (0: none) and numbers, NaN for tensors."""
+        """The width law: shape, reference size (0 for none) and numbers (NaN for tensors)."""
         law = self.start.point_spread
         numbers = [math.nan if isinstance(x, Tensor) else x for x in law.numbers().values()]
         size, shape = law.reference_size or 0.0, get_args(Shape).index(law.shape)
         return torch.tensor([shape, size, *numbers], dtype=torch.float64)
 
     def set_extra_state(self, state: Tensor) -> None:
-        """Refuse the state of another width law, for which this module has no place."""
-        theirs, ours = state.to("cpu", torch.float64), self.get_extra_state()
-        if torch.allclose(theirs, ours, rtol=1e-3, equal_nan=True):
+        """Refuse the state of another width law."""
+        state = state.to("cpu", torch.float64)
+        if torch.allclose(state, self.get_extra_state(), rtol=1e-3, equal_nan=True):
             return
-        shape, size, *numbers = theirs.tolist()
+        shape, size, *numbers = state.tolist()
         scale, exponent = (torch.tensor(1.0) if math.isnan(x) else x for x in numbers)
         law = PointSpread(scale, exponent, get_args(Shape)[int(shape)], size or None)
-        cure = "give it a medium with that law"
-        own = self.start.point_spread
-        raise ValueError(f"state_dict is of the law {law}, this module's is {own}: {cure}")
+        wanted = f"this module's is {self.start.point_spread}: give it a medium with that law"
+        raise ValueError(f"state_dict is of the law {law}, {wanted}")
 
 
 class LearnableMedium(nn.Module):
-    """A medium of coefficients, made of unconstrained parameters. Whatever they are, G ≥ 0, β ≥ G,
+    """A medium of coefficients, made of unconstrained parameters. Whatever they are, β ≥ G ≥ 0, and
     the veil and the width's scale are ≥ 0. The veil is learned by its slope at the lens, G·V(0),
-    which has a limit as G falls to 0 (with V(0) for a parameter, G → 0 and V(0) → ∞ would fit as
-    well).
+    which has a limit as G falls to 0. (With V(0) for a parameter, G → 0 and V(0) → ∞ would fit as
+    well.)
 
     Args:
-        medium: where learning starts; from `Medium.from_coefficients`, or `Medium.as_coefficients`.
-        learned: what is learned: "rates" (β and G), "veil" (V(0)), "width" (scale of the width
-            law). All else stays as it is at the start.
+        medium: start of learning, from `Medium.from_coefficients` or `Medium.as_coefficients`.
+        learned: parts to learn: "rates" (β and G), "veil" (V(0)), "width" (scale of the width law).
+            All else stays as it is at the start.
 
     Raises:
         ValueError: if the medium has other rates than one for each channel, or a part is unknown.
@@ -103,14 +101,14 @@ class LearnableMedium(nn.Module):
         self.start = FixedMedium(medium)
 
     def _add(self, name: str, value: Tensor) -> None:
-        """A parameter that becomes this value by `softplus`."""
+        """Add a parameter that becomes this value by `softplus`."""
         value = value.detach().clamp(min=_MIN_START)
         self.register_parameter(
             f"raw_{name}", nn.Parameter(value + torch.log(-torch.expm1(-value)))
         )
 
     def forward(self) -> Medium:
-        """The medium at hand."""
+        """The medium of the parameters."""
         medium: Medium = self.start()
         positive = {name: F.softplus(raw) for name, raw in self.named_parameters()}
         learned: dict[str, Any] = {}

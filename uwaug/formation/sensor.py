@@ -13,8 +13,8 @@ from uwaug._support.nouns import Seeded, number
 from uwaug._support.ranges import Range
 
 _COUNT = 1 << 20
-"""Normals that are drawn once; each row of a picture is a run of them from a start of its own, so
-that no two pictures look alike. (1024²: .3 ms; anew by torch.randn 7.)
+"""Number of standard normals. Each row of a picture is a run of them from a random start, so that
+no two pictures look alike. (1024² take .3 ms; by torch.randn 7 ms.)
 """
 
 
@@ -24,21 +24,21 @@ class Sensor(Seeded):
     """A sensor, in electrons of one pixel of the picture.
 
     White light at the surface, 1, fills the well: light L frees N = full_well·L electrons, which
-    are read with the variance N + read_noise² and over full_well are light again. Exposure, white
-    balance and saturation come after and multiply the noise with the light, as ISO does: what is
-    deep, far or turbid and made bright is noisy.
+    are read with the variance N + read_noise². Exposure, white balance and saturation come after
+    and multiply the noise with the light, as ISO does: a deep, far or turbid scene that is made
+    bright is noisy.
 
-    A pixel that stands for n of the sensor's holds n times their electrons, with √n times their
-    read noise; one of the sensor's own, 3 000 to 60 000 with 1 to 5. Not modelled: demosaicing and
-    denoising, patterns of a sensor, dark current, a full well that overflows. Where surfaces have
-    spectra the colour matrix lies before the noise, not after it: a full one would make it 1.6
-    times as large (Nikon D5100).
+    A pixel of the sensor holds 3 000 to 60 000 electrons, with a read noise of 1 to 5; a pixel that
+    stands for n of them holds n times as many, with √n times the read noise. Not modelled:
+    demosaicing and denoising, patterns of a sensor, dark current, a full well that overflows. Where
+    surfaces have spectra the colour matrix lies before the noise, not after it: a full one would
+    make it 1.6 times as large (Nikon D5100).
 
     Attributes:
         full_well: electrons, ≥ 1; in `uwaug.RandomDevelopment` also a range (low, high).
-        read_noise: electrons, rms; likewise.
-        seed: of noise that is the same at each call; None: anew, from torch's global generator.
-            Pictures that are drawn record their own.
+        read_noise: rms, electrons; likewise.
+        seed: a whole number for the same noise at each call; None for new noise, from torch's
+            global generator. Pictures that are drawn record their own.
 
     Source: the photon transfer curve, σ² = N + read_noise² (J. R. Janesick, *Photon Transfer*, SPIE
     2007; EMVA 1288). A normal distribution stands for Poisson's (A. Foi et al., IEEE Transactions
@@ -51,19 +51,19 @@ class Sensor(Seeded):
 
     @staticmethod
     def stack(sensors: "Sequence[Sensor]", like: Tensor) -> "Sensor":
-        """One for each picture of a batch, on the device of a tensor."""
+        """Join the sensors of a batch, on the device of `like`."""
         columns = [[s.full_well for s in sensors], [s.read_noise for s in sensors]]
         well, read = torch.tensor(columns, dtype=like.dtype).to(like.device)[..., None, None, None]
         return Sensor(well, read, [s.seed for s in sensors])
 
     @property
     def variance(self) -> tuple[Any, Any]:
-        """Of light 0, and what it grows by with light."""
+        """Variance of light 0, and its growth with light."""
         well: Any = self.full_well
         return (self.read_noise / well) ** 2, 1 / well
 
     def starts(self, batch: int, size: tuple[int, int]) -> Tensor:
-        """Where in `standard_normals` each row of each channel begins (Bx3xH)."""
+        """Indices (Bx3xH) in `standard_normals` at which each row of each channel begins."""
         seeds, rows = (self.seed if isinstance(self.seed, list) else [self.seed]), []
         shape = batch // len(seeds), 3, size[0]
         for seed in seeds:
@@ -72,7 +72,7 @@ class Sensor(Seeded):
         return torch.cat(rows)
 
     def normals(self, batch: int, size: tuple[int, int], like: Tensor) -> Tensor:
-        """Standard normals (Bx3xHxW) of the type of a tensor, on its device."""
+        """Standard normals (Bx3xHxW) of the type and on the device of `like`."""
         if self.seed is None and torch.compiler.is_compiling():  # generators cannot be traced
             return torch.randn(batch, 3, *size, dtype=like.dtype, device=like.device)
         starts = self.starts(batch, size).to(like.device)
@@ -80,7 +80,7 @@ class Sensor(Seeded):
         return runs.index_select(0, starts.flatten()).reshape(batch, 3, *size).to(like.dtype)
 
     def read(self, light: Tensor, normals: Tensor) -> Tensor:
-        """Light (Bx3xHxW) with its noise, which to gradients is constant."""
+        """Light (Bx3xHxW) with its noise, which is a constant to gradients."""
         dark, photons = self.variance
         noise: Tensor = (light.detach().clamp(min=0.0) * photons + dark).sqrt() * normals
         return light + noise
@@ -88,8 +88,8 @@ class Sensor(Seeded):
 
 @lru_cache(maxsize=4)
 def standard_normals(device: torch.device) -> Tensor:
-    """`_COUNT` of them, the same in every process."""
-    with torch.inference_mode(False):  # what inference mode makes cannot be used outside
+    """Standard normals (`_COUNT`), the same in every process."""
+    with torch.inference_mode(False):  # tensors of inference mode cannot be used outside
         generator = torch.Generator().manual_seed(0)
-        drawn = torch.randn(_COUNT, generator=generator, dtype=torch.float32, device="cpu")
-        return drawn.to(device)
+        normals = torch.randn(_COUNT, generator=generator, dtype=torch.float32, device="cpu")
+        return normals.to(device)

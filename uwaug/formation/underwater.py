@@ -28,16 +28,16 @@ from uwaug.light import Light
 from uwaug.optics.medium import Medium
 
 _MAX_SHARE_OUTSIDE = 0.01
-"""Share of the pixels that may lie outside of the range that is planned for without a word."""
+"""Share of the pixels that may lie outside of the planned range without a warning."""
 
 _WIDTH_MARGIN = 2.0
-"""Either way, for the width that is learned, until it is planned anew."""
+"""Factor, either way, by which a width that is learned may leave its start before a new plan."""
 
 _COMPILES = tuple(map(int, torch.__version__.split(".")[:2])) >= (2, 13)
-"""Whether this torch compiles the module; older ones were tried, and do not."""
+"""True if this torch compiles the module; older ones were tried, and do not."""
 
 _RANGE_ROUNDING = 1e-6
-"""Of float32: a field of .7…1.3 on a range that was planned for it reaches so far beyond."""
+"""Share by which float32 may exceed a range, as with a field of .7…1.3 on the range for it."""
 
 
 class Underwater(nn.Module):
@@ -53,17 +53,15 @@ class Underwater(nn.Module):
         color_space: "srgb" decodes, works in linear light, encodes again and clips to 0…1 (to the
             picture's own largest value if that is above 1); "linear" takes values as they are and
             never clips.
-        learnable: make β, G, veil and width of a medium of coefficients parameters, see
-            `uwaug.formation.LearnableMedium`; or some of ("rates", "veil", "width"), where the
-            others are known. A width that leaves the plan is planned for anew, except in a compiled
-            module.
+        learnable: True to make β, G, veil and width of a medium of coefficients parameters, see
+            `uwaug.formation.LearnableMedium`; or some of ("rates", "veil", "width"). A width that
+            leaves the plan gets a new plan, except in a compiled module.
         sides: (smallest, largest) short side, px, of the pictures: one plan of the blur then serves
             them all, and a file exported from the module (`uwaug.onnx.export_onnx`) computes the
             same. None plans for each size, which is faster: one plan for (32, 2160) takes 15 to
             70 % more time. A width law that knows no size, such as `PointSpread(2.0)`, has one plan
             in any case.
-        development: what the camera makes of the light, see `uwaug.Development`; nothing by
-            default.
+        development: steps of the camera, see `uwaug.Development`; none by default.
         light: lamps, see `uwaug.Light`; None for daylight as the medium has it.
 
     A state (`state_dict`) holds the medium: loaded, the blur is planned for it, and a state of
@@ -125,7 +123,7 @@ class Underwater(nn.Module):
 
     @property
     def medium(self) -> Medium:
-        """The medium at hand; if learnable, of tensors that carry gradients to the parameters."""
+        """The medium; if learnable, of tensors that carry gradients to the parameters."""
         medium: Medium = self.coefficients()
         return medium
 
@@ -180,8 +178,8 @@ class Underwater(nn.Module):
         return result[0] if image.ndim == 3 and len(result) == 1 else result
 
     def _warn_outside(self, z: Tensor) -> None:
-        """Warn, once, if more than 1 % of the pixels lie outside of the range that is planned for;
-        open water does not count.
+        """Warn, once, if more than 1 % of the pixels lie outside of the planned range; open water
+        does not count.
         """
         if self._warned or self.distance_range is None or not z.numel():
             return
@@ -201,14 +199,14 @@ class Underwater(nn.Module):
             )
 
     def _plan_anew(self, *_: Any) -> None:
-        """Plan for the medium at hand, also for one whose state has been loaded."""
+        """Plan for the medium; also a hook, for a state that has been loaded."""
         medium = self.medium
         if self.distance_range is not None and not medium.beta.is_meta:
             self.demand = self._demand_of(medium, margin=_WIDTH_MARGIN if self.learnable else 1.0)
 
     def _keep_up(self, medium: Medium) -> None:
-        """Plan anew if what was learned has left the plan, at whose ends widths would stop changing
-        and learning would stick. A compiled module keeps the plan that it was compiled with.
+        """Plan anew if a width has left the plan, at whose ends it would stop changing and learning
+        would stick. A compiled module keeps its plan.
         """
         if not self.learnable or self.demand is None:
             return
@@ -220,7 +218,7 @@ class Underwater(nn.Module):
         medium = medium if self.light is None else self.light.planned(medium)
         gain = medium.beta.new_full((1,), self.development.brightening)
         if self.development.metered:
-            # before a picture is seen, it is taken to make up for the light that is lost above it
+            # without a picture, the meter is taken to make up for the light lost above the scene
             ambient = medium.ambient().detach()
             luminance = (ambient * ambient.new_tensor(LUMINANCE)).sum(-1)
             gain = gain * (1 / luminance.clamp(min=1e-30)).clamp(*GAINS)
@@ -233,7 +231,7 @@ class Underwater(nn.Module):
         )
 
     def extra_repr(self) -> str:
-        """What is modelled, and what is skipped."""
+        """Medium, plan of the blur and settings."""
         blur = "planned at each call"
         if self.distance_range is not None:
             near, far = self.distance_range

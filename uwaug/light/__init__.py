@@ -1,4 +1,4 @@
-"""Light: lamps near the camera, and daylight beside them."""
+"""Lamps near the camera, daylight beside them, and particles in their light."""
 
 from uwaug.light.light import Lamp, Light
 

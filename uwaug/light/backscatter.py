@@ -1,20 +1,20 @@
 """Near-field backscatter: a lamp's light that the water scatters into the camera, once.
 
-Along a ray of the camera, s metres from it, the water scatters b·p(α) of the lamp's light to the
-camera, of which e^(−G(s + r)) is left of both ways:
+At s metres along a ray of the camera, the water scatters b·p(α) of the lamp's light to the camera,
+and e^(−G(s + r)) of it is left after both ways:
 
     B_c(z) = π·power ∫_0^z Σ_l m·f_cl e^(−m·G_l (s + r)) p(α) cone(ψ) / r² ds
 
-r is the distance to the lamp, α the angle of scattering with p of Henyey & Greenstein (1941), ψ the
-angle to the lamp's axis; f_cl are the weights of b, m is the field at the pixel. In the angle
-θ = atan((s − s₀)/h) that the lamp sees (Kulla & Fajardo 2012, equiangular), with s₀ the ray's
-nearest point to the lamp and h the distance there, ds/r² is dθ/h: the inverse square is gone, and
-with t = tan(θ/2), which needs no angles,
+Here r is the distance to the lamp, α the angle of scattering with p of Henyey & Greenstein (1941),
+ψ the angle to the lamp's axis, f_cl are the weights of b, and m is the field at the pixel. Let s₀
+be the ray's nearest point to the lamp and h the distance there. In the angle θ = atan((s − s₀)/h)
+that the lamp sees, ds/r² is dθ/h (Kulla & Fajardo 2012, equiangular). With t = tan(θ/2), which
+needs no angles,
 
     s + r = s₀ + h·(1 + t)/(1 − t)        dθ = 2/(1 + t²) dt
     −cos α = sin θ = 2t/(1 + t²)          cos θ = (1 − t²)/(1 + t²)
 
-What is left is smooth within the cone, whose ends in t are known: a few nodes serve.
+The integrand is smooth within the cone, whose ends in t are known: a few nodes serve.
 """
 
 from typing import NamedTuple
@@ -26,20 +26,20 @@ from torch import Tensor
 from uwaug.optics.curves import decay
 
 ASYMMETRY = 0.924
-"""Mean cosine of the phase function: that of Petzold's waters."""
+"""Mean cosine of the phase function, that of Petzold's waters."""
 
 NODES, NODE_WEIGHTS = (values.tolist() for values in np.polynomial.legendre.leggauss(7))
-"""Of the Gauss quadrature over the lit part of a ray (benchmarks/CHOICES.md)."""
+"""Gauss quadrature over the lit part of a ray (benchmarks/CHOICES.md)."""
 
 MAX_T = 1 - 1e-6
-"""Of t, so that 1 − t is more than 0 in single precision."""
+"""Largest t: 1 − t is above 0 in single precision."""
 
 MIN_LENGTH = 1e-6
-"""Stands for a vector's length 0."""
+"""Length that stands for 0."""
 
 
 class Cone(NamedTuple):
-    """A lamp's cone as the camera's rays cross it: cos ψ = across·cos θ + along·sin θ.
+    """Cone of a lamp as the camera's rays cross it: cos ψ = across·cos θ + along·sin θ.
 
     Attributes:
         across, along (1x1xHxW tensors): see above.
@@ -52,25 +52,23 @@ class Cone(NamedTuple):
     outer: float
 
     def share(self, cosine: Tensor, sine: Tensor) -> Tensor:
-        """The share of the light at angles θ."""
+        """Share of the light at angles θ."""
         toward = torch.addcmul(self.along * sine, self.across, cosine)
         t = ((toward - self.outer) * (1 / (self.inner - self.outer))).clamp(0.0, 1.0)
         return t * t * (3 - 2 * t)
 
     def ends(self) -> tuple[Tensor, Tensor]:
-        """The t = tan(θ/2), −1…1, between which each ray is lit; of a ray that is not, twice the
-        same.
-        """
+        """Ends of the lit part of each ray, as t = tan(θ/2), −1…1; equal ends for a dark ray."""
         size = (self.across.square() + self.along.square()).sqrt().clamp(min=MIN_LENGTH)
         across, along = self.across / size, self.along / size
         cosine = (self.outer / size).clamp(max=1.0)
         sine = (1 - cosine.square()).sqrt()
-        # the angle of the axis is that of (across, along), and the cone reaches so far either way
+        # (across, along) is the direction of the axis, from which the cone reaches either way
         side = torch.where(along > 0, 1.0, -1.0)
         ends = []
-        for away in (-sine, sine):
-            forward = across * cosine - along * away
-            t = (along * cosine + across * away) / (1 + forward.clamp(min=0.0))
+        for turn in (-sine, sine):
+            forward = across * cosine - along * turn
+            t = (along * cosine + across * turn) / (1 + forward.clamp(min=0.0))
             ends.append(torch.where(forward > 0, t, side))
         return ends[0], ends[1]
 
@@ -84,16 +82,16 @@ def backscatter(
     z: Tensor,
     density: float | Tensor = 1.0,
 ) -> Tensor:
-    """What a lamp of power 1 sends to the camera before points at a distance (Bx3xHxW).
+    """Backscatter (Bx3xHxW) of a lamp of power 1 along each ray, up to the scene.
 
     Args:
         G (BxL tensor): rates of the water, 1/m.
-        weights (Bx3xL tensor): of b, 1/m, see `uwaug.Medium.under_lamp`.
+        weights (Bx3xL tensor): weights of b, 1/m, see `uwaug.Medium.under_lamp`.
         nearest (1x1xHxW tensor): s₀ of each ray, m.
         height (1x1xHxW tensor): h of each ray, m, > 0.
         cone: None for a lamp that shines to all sides.
         z (Bx1xHxW tensor): distance, m.
-        density (number or Bx1xHxW tensor): m, the medium field.
+        density (number or Bx1xHxW tensor): the medium field m.
     """
     low, high = (q / (1 + (1 + q * q).sqrt()) for q in (-nearest / height, (z - nearest) / height))
     if cone is not None:
@@ -103,7 +101,7 @@ def backscatter(
     half = ((high - low) / 2).clamp(min=0.0)
     middle = low + half
     rates, total = G[..., None, None], z.new_zeros(())
-    # s + r = (s₀ − h) + 2h/(1 − t); sums of products, as each pass over the picture takes time
+    # s + r = (s₀ − h) + 2h/(1 − t); fused products, as each pass over the picture takes time
     shortest, twice = density * (nearest - height), 2 * density * height
     isotropic = z.new_tensor(1 + ASYMMETRY**2)
     for node, weight in zip(NODES, NODE_WEIGHTS, strict=True):

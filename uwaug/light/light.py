@@ -1,15 +1,14 @@
-"""`Light`: lamps near the camera, and daylight beside them.
+"""Lamps near the camera, and daylight beside them.
 
 Lights add. With T_β, T_G and V of the medium and c for a channel of the picture,
 
     daylight  daylight·T_β, daylight·(T_G − T_β), daylight·(V(0) − V)
     a lamp    share·A_c, (1 − share)·A_c, and its backscatter (see `uwaug.light.backscatter`)
 
-A_c = power·color_c·cone(ψ)/r²·T_G,c(r + z) is what arrives of a lamp's light after both ways
-through the water, r from the lamp to the surface and z from there to the camera. The cosine of the
-angle of incidence is left to the photograph, which has its shading in it. On the way to the scene,
-light that is scattered forward still lights it. Of what arrives, share = T_β(z)/T_G(z) has come
-straight from the surface.
+A_c = power·color_c·cone(ψ)/r²·T_G,c(r + z) is a lamp's light that arrives after both ways through
+the water, r from the lamp to the surface and z from there to the camera. On the way to the scene,
+light that is scattered forward still lights it. The share T_β(z)/T_G(z) has come straight from the
+surface. The cosine of the angle of incidence is left out, as a photograph has its shading in it.
 """
 
 import math
@@ -28,25 +27,25 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import white
 
 LAMP_RADIUS_M = 0.03
-"""m, of a lamp: nearer, its light grows no more."""
+"""Distance (m) from a lamp within which its light grows no more."""
 
 _SOFT_EDGE = 0.5
-"""Of the cone, over which the light fades to its edge."""
+"""Outer share of the cone, over which the light fades."""
 
 _MIN_METRES = 1e-6
-"""m; nearer, a distance does not tell the field that multiplies it."""
+"""Distance (m) below which it does not tell the field that multiplies it."""
 
 _MIN_LIGHT = 1e-30
-"""Of light, stands for none."""
+"""Amount of light that stands for none."""
 
 
 class Sent(NamedTuple):
-    """The light of a lamp on a scene, without the water.
+    """Light of a lamp on a scene, without the water.
 
     Attributes:
-        share (Bx1xHxW tensor): that gets to each surface, of a white plate's at 1 m.
-        path (Bx1xHxW tensor): from the lamp to the surface, m.
-        nearest, height, cone: of the rays, see `uwaug.light.backscatter`.
+        share (Bx1xHxW tensor): light at each surface, relative to a white plate at 1 m.
+        path (Bx1xHxW tensor): distance from the lamp to the surface, m.
+        nearest, height, cone: the lamp beside the rays, see `uwaug.light.backscatter`.
     """
 
     share: Tensor
@@ -59,17 +58,16 @@ class Sent(NamedTuple):
 @codec.plain
 @dataclass(frozen=True)
 class Lamp:
-    """A lamp in the water. Coordinates are the camera's: x to the right of the picture, y down, z
+    """Lamp in the water. Coordinates are the camera's: x to the right of the picture, y down, z
     forward.
 
     Attributes:
         position: m.
-        power: how bright a white plate is at 1 m in air, where 1 is a white plate in daylight at
-            the surface; ≥ 0.
-        aim: the direction of its axis; of any length.
-        cone: angle from the axis to the edge of its light, which fades over the outer half of it,
+        power: brightness of a white plate at 1 m in air, ≥ 0; in daylight at the surface it is 1.
+        aim: direction of the axis, of any length.
+        cone: angle from the axis to the edge of the light, which fades over the outer half,
             degrees, 1…90; None shines to all sides.
-        color: its light in the channels of the picture, each ≥ 0.
+        color: light in the channels of the picture, each ≥ 0.
 
     Raises:
         TypeError, ValueError: if a number is outside its domain, or a vector has not three.
@@ -97,25 +95,27 @@ class Lamp:
             checks.within("cone", self.cone, 1.0, 90.0)
 
     def dyed(self, weights: Tensor) -> Tensor:
-        """Weights of its channels (Bx3xL) for the light of this lamp."""
+        """Multiply weights of channels (Bx3xL) by this lamp's light."""
         return weights * (weights.new_tensor(self.color)[:, None] * self.power)
 
     def sent(self, rays: Rays, z: Tensor) -> Sent:
-        """What a lamp of power 1 sends to a scene z (Bx1xHxW) away, m, and how the rays pass it."""
+        """Light on a scene at distance z (Bx1xHxW, m) if the lamp had power 1."""
         nearest = rays.along(self.position)
         height = torch.sqrt(rays.distance(self.position).square() + LAMP_RADIUS_M**2)
         beyond = z - nearest
         squared = beyond.square() + height.square()
-        one_over = squared.rsqrt()
-        gets = one_over.square()
-        cone = None if self.cone is None else self._cone(rays, nearest, height)
-        if cone is not None:
-            gets = gets * cone.share(height * one_over, beyond * one_over)
-        return Sent(gets, squared * one_over, nearest, height, cone)
+        inverse = squared.rsqrt()
+        share, cone = inverse.square(), None
+        if self.cone is not None:
+            along = rays.along(self.axis)
+            before = sum(x * y for x, y in zip(self.position, self.axis, strict=True))
+            cone = Cone((nearest * along - before) / height, along, *self.fade)
+            share = share * cone.share(height * inverse, beyond * inverse)
+        return Sent(share, squared * inverse, nearest, height, cone)
 
     @property
     def axis(self) -> Vector:
-        """`aim` at length 1."""
+        """Direction `aim` at length 1."""
         length = math.hypot(*self.aim)
         x, y, z = (part / length for part in self.aim)
         return x, y, z
@@ -126,11 +126,6 @@ class Lamp:
         edge = math.radians(self.cone or 0.0)
         return math.cos(edge * (1 - _SOFT_EDGE)), math.cos(edge)
 
-    def _cone(self, rays: Rays, nearest: Tensor, height: Tensor) -> Cone:
-        along = rays.along(self.axis)
-        before = sum(x * y for x, y in zip(self.position, self.axis, strict=True))
-        return Cone((nearest * along - before) / height, along, *self.fade)
-
 
 @codec.plain
 @dataclass(frozen=True)
@@ -139,8 +134,8 @@ class Light:
 
     Attributes:
         lamps: any number of `Lamp`.
-        daylight: factor of the medium's own light, and of its veil; ≥ 0.
-        view: horizontal angle of view of the camera, degrees, 1…170: where its rays are.
+        daylight: factor of daylight, and of its veil; ≥ 0.
+        view: horizontal angle of view of the camera, degrees, 1…170.
 
     Raises:
         TypeError, ValueError: if a lamp is none, or a number is outside its domain.
@@ -158,7 +153,7 @@ class Light:
     def __post_init__(self) -> None:
         if isinstance(self.lamps, (Lamp, Mapping)) or not isinstance(self.lamps, (tuple, list)):
             raise TypeError(f"lamps must be a list of uwaug.Lamp, got {self.lamps!r:.80}")
-        # tables of TOML need not say of each that it is a lamp
+        # tables of TOML need not call each one a lamp
         lamps = [codec.from_plain(lamp, Lamp) for lamp in self.lamps]
         for lamp in lamps:
             checks.instance("lamps", lamp, Lamp)
@@ -167,18 +162,13 @@ class Light:
         checks.within("view", self.view, 1.0, 170.0)
 
     def curves(self, medium: Medium, z: Tensor, metres: Tensor | None = None) -> Curves:
-        """What reaches the camera at each pixel, of light that the scene would send back if it were
-        white: unscattered, scattered forward, and the veil. In place of `Medium.curves`; gradients
-        pass to distances and medium.
-
-        Exposure multiplies the picture: it is metered on these curves, and none is made anew for
-        it.
+        """Light of a white scene that reaches the camera at each pixel: unscattered, scattered
+        forward, and the veil. In place of `Medium.curves`; gradients pass to distances and medium.
 
         Args:
             medium: of B or 1 rows, of the type of z.
-            z (Bx1xHxW tensor): effective distance, m, finite.
-            metres (Bx1xHxW tensor): the distance itself, where a field multiplies it in z: lamps
-                and scene are where they are, and the water between is so dense.
+            z (Bx1xHxW tensor): effective distance, m, finite: times the medium field.
+            metres (Bx1xHxW tensor): the distance itself, if there is a field.
         """
         day = medium.brightened(z.new_full((1, 1), self.daylight)).curves(z)
         if not self.lamps:
@@ -187,7 +177,7 @@ class Light:
         if metres is None:
             metres = z
         else:
-            density = torch.where(metres > _MIN_METRES, z / metres.clamp(min=_MIN_METRES), 1.0)
+            density = density_of(z, metres)
         water = medium.under_lamp()
         arrives, veil = self.lit(water, Rays.of(metres, self.view), metres, density)
         direct = _dimmed(arrives, _straight(water, z))
@@ -196,41 +186,40 @@ class Light:
     def lit(
         self, water: Medium, rays: Rays, z: Tensor, density: float | Tensor = 1.0
     ) -> tuple[Tensor, Tensor]:
-        """What the lamps make arrive of a white scene at each pixel (Bx3xHxW, or Bx3x3xHxW), and
-        their fog (Bx3xHxW).
+        """Light of the lamps that arrives from a white scene at each pixel (Bx3xHxW, or
+        Bx3x3xHxW), and their fog (Bx3xHxW).
 
         Args:
-            water: `uwaug.Medium.under_lamp` the light of lamps.
-            rays: of the picture.
+            water: from `uwaug.Medium.under_lamp`.
+            rays: the picture's.
             z (Bx1xHxW tensor): distance, m.
-            density (number or Bx1xHxW tensor): of the water on each ray and on the lamps' way to
-                its surface, the medium field.
+            density (number or Bx1xHxW tensor): the medium field, on each ray and on the lamps' way
+                to its surface.
         """
         sent = [lamp.sent(rays, z) for lamp in self.lamps]
         fogs = []
         for lamp, light in zip(self.lamps, sent, strict=True):
-            veil, way = lamp.dyed(water.veil_weights), (light.nearest, light.height, light.cone)
-            fogs.append(backscatter(water.G, veil, *way, z, density))
+            veil = lamp.dyed(water.veil_weights)
+            fog = backscatter(water.G, veil, light.nearest, light.height, light.cone, z, density)
+            fogs.append(fog)
         return self._arriving(water, sent, z, density), sum(fogs[1:], fogs[0])
 
     def _arriving(
         self, water: Medium, sent: Sequence[Sent], z: Tensor, density: float | Tensor
     ) -> Tensor:
-        left, weights = [], []
+        decayed, weights = [], []
         for lamp, light in zip(self.lamps, sent, strict=True):
             path = (density * (z + light.path)).flatten(2)
-            left.append(decay(water.G[..., None], path) * light.share.flatten(2))
+            decayed.append(decay(water.G[..., None], path) * light.share.flatten(2))
             weights.append(lamp.dyed(water.signal_weights.flatten(2)))
-        # one product for all lamps, which writes what may be nine numbers a pixel once
+        # one product for all lamps, which writes up to nine numbers a pixel once
         shape = water.signal_weights.shape[1:-1]
-        rows = torch.cat([each.reshape(len(each), shape.numel(), -1) for each in weights], 2)
-        arrives = torch.unflatten(rows @ torch.cat(left, 1), -1, z.shape[-2:])
+        rows = torch.cat([part.reshape(len(part), shape.numel(), -1) for part in weights], 2)
+        arrives = torch.unflatten(rows @ torch.cat(decayed, 1), -1, z.shape[-2:])
         return torch.unflatten(arrives, 1, shape)
 
     def on_white(self, medium: Medium, z: Tensor, metres: Tensor, rays: Rays) -> Tensor:
-        """What arrives unscattered of white surfaces (Bx3xHxW); arguments as for `curves`, on any
-        rays.
-        """
+        """Unscattered light of white surfaces (Bx3xHxW) on any rays; arguments as for `curves`."""
         white_light = z.new_ones(1, 3, 1, 1)
         total = passed(medium.curves(z).direct, white_light) * self.daylight
         if not self.lamps:
@@ -241,15 +230,20 @@ class Light:
         return total + passed(_dimmed(arrives, _straight(water, z)), white_light)
 
     def planned(self, medium: Medium) -> Medium:
-        """The medium for which a blur is planned: a lamp may light the scene as daylight does at
-        the surface, however dim daylight is at the scene.
+        """Medium for which a blur is planned. A lamp may light the scene as daylight does at the
+        surface, however dim daylight is at the scene.
         """
         return medium.under_lamp() if self.lamps else medium
 
 
+def density_of(z: Tensor, metres: Tensor) -> Tensor:
+    """Medium field m from the effective distance z = m·metres; 1 where it is too near to tell."""
+    return torch.where(metres > _MIN_METRES, z / metres.clamp(min=_MIN_METRES), 1.0)
+
+
 def _straight(water: Medium, z: Tensor) -> Tensor:
-    """T_β/T_G, the share of what arrives that has come straight from the surface: of each channel;
-    of surfaces with spectra, where one may be black or negative, one of all (Bx1xHxW).
+    """Share T_β/T_G of the arriving light that has come straight from the surface: of each channel,
+    or one of all (Bx1xHxW) for surfaces with spectra, where a channel may be black or negative.
     """
     direct = _summed(water.beta, white(water.direct_weights), z)
     signal = _summed(water.G, white(water.signal_weights), z)
@@ -259,14 +253,11 @@ def _straight(water: Medium, z: Tensor) -> Tensor:
 
 
 def _summed(rates: Tensor, weights: Tensor, length: Tensor) -> Tensor:
-    """Σ weight·e^(−rate·length) of ways (Bx1xHxW) through the water, of three channels
-    (Bx3xHxW).
-    """
-    return torch.unflatten(
-        weights @ decay(rates[..., None], length.flatten(2)), -1, length.shape[-2:]
-    )
+    """Sum Σ weight·e^(−rate·length) of three channels (Bx3xHxW) over lengths (Bx1xHxW, m)."""
+    sums = weights @ decay(rates[..., None], length.flatten(2))
+    return torch.unflatten(sums, -1, length.shape[-2:])
 
 
 def _dimmed(T: Tensor, light: Tensor) -> Tensor:
-    """Transmittances in light of some strength, of each channel of the picture or of all."""
+    """Multiply transmittances by light of each channel of the picture, or of all."""
     return T * light if T.ndim == 4 else T * light[:, :, None]

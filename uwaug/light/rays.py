@@ -1,8 +1,4 @@
-"""The camera's rays.
-
-A pinhole camera at the origin looks along z; x points to the right of the picture, y down. All
-lengths are metres.
-"""
+"""Rays of a pinhole camera at the origin that looks along z; x points right, y down; in metres."""
 
 import math
 from typing import NamedTuple, Self
@@ -14,12 +10,12 @@ Vector = tuple[float, float, float]
 
 
 class Rays(NamedTuple):
-    """The rays of a picture.
+    """Rays of a picture.
 
     Attributes:
         x (1x1x1xW tensor): tangent of each column's angle to the right.
         y (1x1xHx1 tensor): tangent of each row's angle down.
-        shortening (1x1xHxW tensor): 1/|(x, y, 1)|, the share of a ray's length that lies along z.
+        shortening (1x1xHxW tensor): 1/|(x, y, 1)|, length along z per length of a ray.
     """
 
     x: Tensor
@@ -28,7 +24,7 @@ class Rays(NamedTuple):
 
     @classmethod
     def of(cls, z: Tensor, view: float) -> Self:
-        """Those of a map (Bx1xHxW) that is `view` degrees wide, and looks along z in its middle."""
+        """Rays of a map (Bx1xHxW) that is `view` degrees wide, and looks along z in its middle."""
         height, width = z.shape[-2:]
         focal = width / 2 / math.tan(math.radians(view / 2))
         # in tensors, as a graph knows the size when it runs
@@ -38,11 +34,11 @@ class Rays(NamedTuple):
         return cls(x, y, (1 + x.square() + y.square()).rsqrt())
 
     def along(self, vector: Vector) -> Tensor:
-        """The part of a vector along each ray (1x1xHxW)."""
+        """Component of a vector along each ray (1x1xHxW)."""
         return (self.x * vector[0] + (self.y * vector[1] + vector[2])) * self.shortening
 
     def distance(self, point: Vector) -> Tensor:
-        """How far each ray, drawn to both sides, is from a point (1x1xHxW)."""
+        """Distance of a point from the line of each ray (1x1xHxW)."""
         x, y, z = point
         # by the vector product: |point|² − along² would lose the digits of a point in view
         squared = (y - z * self.y).square() + (z * self.x - x).square()

@@ -1,8 +1,8 @@
-"""ONNX: an `Underwater` module as a file, checked against float64 eager, and a runner for it.
+"""ONNX files of `Underwater` modules: export, check and runner.
 
-The graph takes any batch, height and width. It cannot raise: NaN stays NaN (with a metered
-exposure, in the whole picture), a negative distance counts as 0, +inf is open water; distances
-outside the planned range keep the nearer end's blur, as in eager mode.
+The graph takes any batch, height and width. It cannot raise. NaN stays NaN, in the whole picture
+with a metered exposure. A negative distance counts as 0, and +inf is open water. Distances outside
+the planned range get the nearer end's blur, as in PyTorch.
 """
 
 from uwaug.onnx.check import Report, check_onnx

@@ -1,9 +1,9 @@
-"""The blurs of a plan as convolutions, for pictures of any size.
+"""Blurs of a plan as convolutions, for pictures of any size.
 
 `uwaug.blur` works in blocks and caches that a graph has no room for. Here all but the widest blurs
-are convolutions with a channel for each px, or cell, of a period: one window serves a period of
-results, which is twice as fast as a window for each. Work is done in whole periods of rows and
-columns, which go beyond the picture and are cut off at the end.
+are convolutions with a channel for each px, or cell, of a period. One window serves a period of
+results, twice as fast as a window for each. Work is done in whole periods of rows and columns; what
+lies beyond the picture is cut off at the end.
 """
 
 import torch
@@ -21,55 +21,50 @@ from uwaug.blur.kernels import (
 )
 from uwaug.blur.plan import BlurPlan
 
-_FEW_TAPS = 8
-"""Taps; a kernel of fewer is as fast with a window for each px."""
+_PERIOD_FROM_TAPS = 8
+"""Taps from which on a kernel works in periods. A shorter one is as fast with a window for each px.
+"""
 
 _ROWS, _COLUMNS = 2, 3
 
 
 class Blurs(nn.Module):
-    """The stack of blurs of a plan; in place of `uwaug.blur.stack.blurred`."""
+    """Stack of blurs of a plan, in place of `uwaug.blur.stack.blurred`."""
 
     def __init__(self, plan: BlurPlan) -> None:
         super().__init__()
-        nodes = zip(plan.sigmas, plan.cells, strict=True)
-        self.stack = nn.ModuleList(_blur_of(sigma, cell, plan.reach) for sigma, cell in nodes)
+        self.stack = nn.ModuleList()
+        for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):
+            kind = _Fine if cell == 1 else _Coarse if cell <= PERIOD else _Wide
+            self.stack.append(kind(sigma, cell, plan.reach) if sigma else nn.Identity())
 
     def forward(self, light: Tensor, plan: BlurPlan) -> list[Tensor]:
-        """The blurs (K tensors, Bx3xHxW) of linear light (Bx3xHxW)."""
+        """Blur linear light (Bx3xHxW): K tensors like it."""
         return [blur(light) for blur in self.stack]
 
 
-def _blur_of(sigma: float, cell: float, reach: float) -> nn.Module:
-    """One blur of a plan."""
-    if sigma == 0:
-        return nn.Identity()
-    return (_Fine if cell == 1 else _Coarse if cell <= PERIOD else _Wide)(sigma, cell, reach)
-
-
 class _Fine(nn.Module):
-    """On the image's own grid: one convolution along each axis."""
+    """Blur on the image's grid: one convolution along each axis."""
 
     def __init__(self, sigma: float, cell: float, reach: float) -> None:
         super().__init__()
         kernel = blur_kernel(sigma, reach)
         self.radius = kernel.shape[1] // 2
-        phases = 1 if kernel.shape[1] < _FEW_TAPS else PERIOD
-        window = _window(torch.arange(phases), kernel.expand(phases, -1))
-        self.register_buffer("window", window)
+        phases = 1 if kernel.shape[1] < _PERIOD_FROM_TAPS else PERIOD
+        self.register_buffer("window", _window(torch.arange(phases), kernel.expand(phases, -1)))
 
     def forward(self, x: Tensor) -> Tensor:
         window = self.get_buffer("window")
         for axis in (_ROWS, _COLUMNS):
             size, phases = x.shape[axis], len(window)
-            around = _folded(x, axis, self.radius, self.radius, phases)
-            x = _strided(around, window, phases, axis).narrow(axis, 0, size)
+            padded = _folded(x, axis, self.radius, self.radius, phases)
+            x = _strided(padded, window, phases, axis).narrow(axis, 0, size)
         return x
 
 
 class _Coarse(nn.Module):
-    """On a grid of whole cells for every `PERIOD` px: one strided convolution along each axis and
-    back, with a channel for each cell of a period, or each px.
+    """Blur on a grid of whole cells for every `PERIOD` px: one strided convolution along each axis
+    and back, with a channel for each cell of a period, or each px.
     """
 
     def __init__(self, sigma: float, cell: float, reach: float) -> None:
@@ -82,7 +77,7 @@ class _Coarse(nn.Module):
         enlarge = _window(*enlarge_kernels(torch.arange(PERIOD), self.cells, PERIOD))
         self.register_buffer("shrink", shrink)
         self.register_buffer("enlarge", enlarge)
-        # the last px need cells beyond their own period: so many whole periods of them
+        # the last px need so many periods of cells beyond their own
         more = -(-(enlarge.shape[1] - self.cells) // self.cells)
         self.lead = -int(first[0])
         self.tail = PERIOD * (more - 1) + shrink.shape[1] - self.lead
@@ -97,8 +92,8 @@ class _Coarse(nn.Module):
 
 
 class _Wide(nn.Module):
-    """On a grid with cells of several periods: dense matrices, which are small; the kernel may
-    exceed the image.
+    """Blur on a grid with cells of several periods, by small dense matrices. The kernel may exceed
+    the image.
     """
 
     def __init__(self, sigma: float, cell: float, reach: float) -> None:
@@ -120,13 +115,12 @@ class _Wide(nn.Module):
         return enlarge_rows @ (x @ enlarge_columns.t())
 
     def _matrices(self, size: int) -> tuple[Tensor, Tensor]:
-        """(cells, size) and (size, cells)."""
+        """Matrices to the grid (cells, size) and back (size, cells)."""
         kernel = self.get_buffer("shrink")
-        # of positive numbers: ONNX's division truncates
+        # all numbers are positive, as ONNX's division truncates
         cells = (size + self.pitch - 1) // self.pitch + 2 * MARGIN
         first = self.first + self.pitch * torch.arange(-MARGIN, cells - MARGIN)
-        # derived from `size`, so that the exporter computes the indices at run time instead of
-        # storing them
+        # from `size`, so that the exporter computes the indices at run time and stores none
         taps = torch.arange(size + kernel.shape[1])[: kernel.shape[1]]
         columns = reflect(first[:, None] + taps, size)
         shrink = torch.zeros(cells, size, dtype=torch.float32).scatter_add(
@@ -134,18 +128,15 @@ class _Wide(nn.Module):
         )
         px = torch.arange(size)
         pitch = torch.full((1,), self.pitch, dtype=torch.int64)
-        within = torch.remainder(px, pitch)
-        first = self.get_buffer("starts")[within] + (px - within) // pitch + MARGIN
+        phase = torch.remainder(px, pitch)
+        first = self.get_buffer("starts")[phase] + (px - phase) // pitch + MARGIN
+        columns, weights = first[:, None] + torch.arange(4), self.get_buffer("enlarge")[phase]
         enlarge = torch.zeros(size, cells, dtype=torch.float32)
-        return shrink, enlarge.scatter_add(
-            1, first[:, None] + torch.arange(4), self.get_buffer("enlarge")[within]
-        )
+        return shrink, enlarge.scatter_add(1, columns, weights)
 
 
 def _window(first: Tensor, kernel: Tensor) -> Tensor:
-    """(n, taps) kernels that begin at `first` as rows of one window that begins at the first of
-    them.
-    """
+    """Put kernels (n, taps) that begin at `first` into rows of one window."""
     offset = first - first[0]
     rows = torch.zeros(len(first), int(offset[-1]) + kernel.shape[1], dtype=torch.float64)
     columns = offset[:, None] + torch.arange(kernel.shape[1])
@@ -153,25 +144,23 @@ def _window(first: Tensor, kernel: Tensor) -> Tensor:
 
 
 def _folded(x: Tensor, axis: int, lead: int, tail: int, period: int) -> Tensor:
-    """X (BxCxHxW) with `lead` px before an axis, and after it whole periods and `tail` px; folded
-    back at the edges.
+    """Extend x (BxCxHxW) along an axis by `lead` px before it, and after it up to whole periods and
+    `tail` px. It is folded back at the edges.
     """
     size = x.shape[axis]
     periods = (size + period - 1) // period * period
     px = reflect(torch.arange(-lead, periods + tail), size)
     if axis == _ROWS:
         return x.index_select(axis, px)
-    # to gather whole rows would copy them value by value
+    # to gather all of a row would copy it value by value
     before, after = px.narrow(0, 0, lead), px.narrow(0, lead + size, periods - size + tail)
     return torch.cat([x.index_select(axis, before), x, x.index_select(axis, after)], axis)
 
 
 def _strided(x: Tensor, window: Tensor, stride: int, axis: int) -> Tensor:
-    """The n kernels of a window (n, taps) at every `stride` along an axis, their results in turn.
-
-    One pixel_shuffle for both axes is quicker to trace, but the convolutions of 3·16 groups that it
-    takes keep two threads waiting for each other: 1024² in 2.3 times the time.
-    """
+    """Apply the n kernels of a window (n, taps) at each `stride` of an axis; results alternate."""
+    # one pixel_shuffle for both axes is quicker to trace, but in convolutions of 3·16 groups two
+    # threads wait for each other: 1024² takes 2.3 times as long
     n, taps = window.shape
     weights = window.repeat(3, 1).reshape(3 * n, 1, *((taps, 1) if axis == _ROWS else (1, taps)))
     y = F.conv2d(x, weights, stride=(stride, 1) if axis == _ROWS else (1, stride), groups=3)

@@ -1,4 +1,4 @@
-"""An exported file against the module it came from."""
+"""Checks of an exported file against its module."""
 
 import math
 import os
@@ -19,14 +19,15 @@ from uwaug.onnx.run import coefficients_of, module_of, read_metadata
 from uwaug.optics.medium import Medium
 
 _TOLERANCE = 2e-5
-"""Of a picture in single precision to one in double."""
+"""Largest difference of a picture in single precision from one in double."""
 
-_LARGEST = 512  # px: the one large picture of a check is no larger, so that it is quickly run
+_LARGEST_PX = 512
+"""Largest side of the one large picture of a check."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What `check_onnx` found: cases run, the largest difference, and where it was."""
+    """Result of `check_onnx`: number of cases, the largest difference, and its case."""
 
     cases: int
     worst: float
@@ -37,7 +38,7 @@ class Report:
 
 
 class _Case(NamedTuple):
-    """A batch to check a file on, in float32."""
+    """Batch on which a file is checked, in float32."""
 
     name: str
     image: Tensor
@@ -50,24 +51,23 @@ def check_onnx(
     *,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
-    """Check an exported file against the module it came from.
+    """Check an exported file against its module.
 
-    `onnx.checker`, then ONNX Runtime with optimisations off and on against float64 eager with the
-    same plan: batches of 1, 2 and 5, odd, even and smallest sizes and a large one; constant,
-    random, zero, far and infinite distances. A file that takes coefficients is given media of other
-    numbers of rates, and one per image.
+    `onnx.checker` reads the file. Then ONNX Runtime, with optimisations off and on, is compared
+    with PyTorch in float64: batches of 1, 2 and 5; smallest, odd, even and large sizes; constant,
+    random, zero, far and infinite distances. A file that takes coefficients gets other media, too.
 
     Args:
         path: the file.
-        module: what it was exported from; None for the one that its metadata describe.
-        progress: is told what is being done.
+        module: its module; None for the one that its metadata describe.
+        progress: a function that is told each step.
 
     Raises:
         ImportError: if the onnx extra is not installed.
         OSError: if the file cannot be read.
-        ValueError: naming the worst case, if a picture differs by more than 2e-5 (of linear light,
-            times what its development brightens); or if the module itself hardly changes a picture,
-            so that a graph that returns its input would pass.
+        ValueError: naming the worst case, if a picture differs by more than 2e-5 (times the factor
+            by which its development brightens); or if the module hardly changes a picture, so that
+            a graph that returns its input would pass.
     """
     (onnx,) = require("onnx", "onnx")
     metadata = read_metadata(path)
@@ -87,7 +87,7 @@ def check_onnx(
     limit = _TOLERANCE * max(module.development.brightening, 1.0)
     sessions = {"off": Session(path, 1, optimise=False), "on": Session(path, 1)}
     differences: list[tuple[float, str]] = []
-    moved = 0.0
+    change = 0.0
     cases = list(_cases(module))
     for number, case in enumerate(cases):
         if progress is not None:
@@ -100,26 +100,26 @@ def check_onnx(
             seeded = torch.Generator().manual_seed(number)
             inputs["noise"] = torch.randn(case.image.shape, generator=seeded, dtype=torch.float32)
         exact = _exact(module, inputs, medium)
-        moved = max(moved, float((exact - case.image).abs().max()))
+        change = max(change, float((exact - case.image).abs().max()))
         if takes_coefficients:
             batch = medium.expand(len(case.image))
             inputs |= {name: torch.from_numpy(x) for name, x in coefficients_of(batch).items()}
         for state, session in sessions.items():
-            where = f"{case.name}, optimisations {state}"
-            differences.append((_difference(path, session, inputs, exact, where), where))
+            name = f"{case.name}, optimisations {state}"
+            differences.append((_difference(path, session, inputs, exact, name), name))
     worst, where = max(differences)
     if worst > limit:
         raise ValueError(
             f"{path}: differs from float64 eager by {worst:.3g} (limit {limit:g}) at {where}"
         )
-    if moved <= 2 * limit:
+    if change <= 2 * limit:
         danger = "a graph that returns its input would pass"
-        raise ValueError(f"module changes a picture by {moved:.2g} at most: {danger}")
+        raise ValueError(f"module changes a picture by {change:.2g} at most: {danger}")
     return Report(len(differences), worst, where)
 
 
 def plan_of(module: Underwater) -> BlurPlan:
-    """The plan that a module with `sides` has for pictures of any size."""
+    """Plan of a module with `sides`, for pictures of any size."""
     assert module.sides is not None
     plan = module.plan((module.sides[0], module.sides[0]))
     assert plan is not None
@@ -127,7 +127,7 @@ def plan_of(module: Underwater) -> BlurPlan:
 
 
 def _exact(module: Underwater, inputs: dict[str, Tensor], medium: Medium) -> Tensor:
-    """The picture in double precision."""
+    """Picture of the module in double precision."""
     normals = inputs.get("noise")
     with torch.no_grad():
         return form(
@@ -147,16 +147,16 @@ def _difference(
     session: Session,
     inputs: dict[str, Tensor],
     exact: Tensor,
-    where: str,
+    case: str,
 ) -> float:
-    """The largest difference of a file's result; inf if it holds NaN."""
+    """Largest difference of a file's result; inf if it holds NaN."""
     try:
         result = session(inputs)
-    except Exception as error:  # of ONNX Runtime, see Session
-        raise ValueError(f"{path}: fails at {where}: {str(error).splitlines()[0]}") from error
+    except Exception as error:  # ONNX Runtime's have no common base
+        raise ValueError(f"{path}: fails at {case}: {str(error).splitlines()[0]}") from error
     if result.shape != exact.shape:
         got, wanted = tuple(result.shape), tuple(exact.shape)
-        raise ValueError(f"{path}: gives {got}, not {wanted}, at {where}")
+        raise ValueError(f"{path}: gives {got}, not {wanted}, at {case}")
     difference = float((result.double() - exact).abs().max())
     return math.inf if math.isnan(difference) else difference
 
@@ -167,9 +167,9 @@ def _cases(module: Underwater) -> Iterator[_Case]:
     assert module.sides is not None
     rng = torch.Generator().manual_seed(0)
     near, far = module.distance_range[0], min(module.distance_range[1], 100.0)
-    # the ends of what the plan serves, as far as they are quickly run
+    # the ends of the plan's sizes, as far as they run quickly
     small, large = (min(max(side, 8), 144) for side in module.sides)
-    widest = min(module.sides[1], _LARGEST)
+    widest = min(module.sides[1], _LARGEST_PX)
     for kind, batch, height, width in (
         ("random", 1, 1, 1),
         ("step", 2, 1, 9),
@@ -186,12 +186,12 @@ def _cases(module: Underwater) -> Iterator[_Case]:
         image = torch.rand(batch, 3, height, width, generator=rng, dtype=torch.float32)
         image *= 1.8 if kind == "beyond white" else 1.0
         ramp = torch.linspace(0, 1, width, dtype=torch.float32).expand(shape)
-        within = {
+        shares = {
             "constant": torch.full_like(ramp, 0.3),
             "step": (ramp > 0.5).to(ramp),
             "random": torch.rand(shape, generator=rng, dtype=torch.float32),
         }
-        distance = near + (far - near) * within.get(kind, ramp)
+        distance = near + (far - near) * shares.get(kind, ramp)
         if kind == "the lens":
             distance = torch.zeros_like(distance)
         elif kind == "beyond the range":
@@ -202,7 +202,7 @@ def _cases(module: Underwater) -> Iterator[_Case]:
 
 
 def _unrelated_media(medium: Medium) -> list[Medium]:
-    """Media of one and of five rates, with other width laws, of the kind that a file takes."""
+    """Media of one and of five rates, with other width laws, that a file accepts."""
 
     def unrelated(count: int, scale: float, exponent: float) -> Medium:
         rates = torch.linspace(0.1, 1.0, count, dtype=torch.float64)[None]

@@ -1,4 +1,4 @@
-"""From module to file: a trace of `uwaug.formation.image.form`, checked before it is written."""
+"""Export: a trace of `uwaug.formation.image.form`, checked before it is written."""
 
 import json
 import logging
@@ -30,10 +30,10 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 
 _OPSET = 18
-"""The first in which scattered values are added."""
+"""Operator set of the file, the first that can add scattered values."""
 
 _TORCH = (2, 13)
-"""The oldest that was tried; the exporter of 2.6 lacks what a trace of free sizes needs."""
+"""Oldest release of torch that exports. 2.6 cannot trace free sizes."""
 
 _DOC = {
     "image": "linear light or sRGB, see uwaug_module; 0…1, red, green, blue",
@@ -60,18 +60,18 @@ def export_onnx(
 ) -> Path:
     """Write a module as an ONNX file that needs no uwaug to run.
 
-    Inputs: image (Bx3xHxW), distance (Bx1xHxW, m), where the development has a sensor noise
-    (Bx3xHxW, standard normals), and those asked for below, all float32. Output: as the image.
+    Inputs, all float32: image (Bx3xHxW), distance (Bx1xHxW, m), noise (Bx3xHxW, standard normals)
+    if the development has a sensor, and coefficients if asked for. Output: as the image.
 
     Args:
-        module: with a `distance_range` and `sides`, which fix the plan of the blur; the file has
-            the same plan. What is learnable is written as it stands.
-        path: of the file; written whole, after `check_onnx` has passed it, or not at all. A
-            symbolic link stays, and what it points to is replaced.
-        coefficients: make the medium's numbers inputs too, with a row for each image (see
-            `uwaug.onnx.coefficients_of`), so that one file serves every water whose widths lie in
-            the plan: export a module of all of them, `Underwater(Medium.stack(…))`.
-        progress: is told what is being done, a few words at each step; such as `print`.
+        module: with a `distance_range` and `sides`, which fix the plan of the blur. Learnable
+            numbers are written as they stand.
+        path: of the file; written whole after `check_onnx` has passed it, or not at all. A symbolic
+            link stays, and its target is replaced.
+        coefficients: make the medium's numbers inputs, with a row for each image, see
+            `uwaug.onnx.coefficients_of`. One file then serves every water whose widths lie in the
+            plan: export a module of all of them, `Underwater(Medium.stack(…))`.
+        progress: a function that is told each step, such as `print`.
 
     Returns:
         The path.
@@ -98,13 +98,13 @@ def export_onnx(
         try:
             check_onnx(part, module, progress=tell)
         except ValueError as error:
-            # nobody will ever see the part
+            # nobody sees the part
             raise ValueError(str(error).replace(str(part), str(path))) from error
     return path
 
 
 def _require_exportable(module: Underwater, coefficients: bool) -> None:
-    """Refuse what is no module, and what a file cannot hold."""
+    """Refuse anything but a module that a file can hold."""
     cure = "; export Underwater(Medium.stack(…)) with coefficients=True to change the water"
     checks.instance("module", module, Underwater, cure)
     if module.sides is None:
@@ -122,7 +122,7 @@ def _require_exportable(module: Underwater, coefficients: bool) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _InLamplight(Medium):
-    """A medium that knows what it is in the light of lamps, which a trace cannot work out."""
+    """Medium with itself under lamps, which a trace cannot compute."""
 
     lamplit: Medium | None = None
 
@@ -132,7 +132,7 @@ class _InLamplight(Medium):
 
 
 class Graph(nn.Module):
-    """`form` as a function of tensors alone, with the blurs of one plan."""
+    """Image formation as a function of tensors alone, with the blurs of one plan."""
 
     def __init__(self, module: Underwater, plan: BlurPlan) -> None:
         super().__init__()
@@ -146,8 +146,8 @@ class Graph(nn.Module):
         self.color_space = module.color_space
 
     def forward(self, *values: Tensor) -> Tensor:
-        """Image (Bx3xHxW), distance (Bx1xHxW), noise (Bx3xHxW) if there is a sensor, and what
-        `Medium.parameters` has, in order.
+        """Form a picture from image (Bx3xHxW), distance (Bx1xHxW), noise (Bx3xHxW) if there is a
+        sensor, and the tensors of `Medium.parameters` if they are inputs.
         """
         image, distance, *coefficients = values
         medium, normals = self.medium, None
@@ -173,10 +173,10 @@ class Graph(nn.Module):
 
 
 def _examples(graph: Graph, coefficients: bool) -> dict[str, tuple[Tensor, dict[int, Any]]]:
-    """What a graph takes, by name: an example, and the names of its free sizes by axis."""
+    """Inputs of a graph by name: an example, and the names of its free sizes by axis."""
     names = ("batch", "height", "width", "rates", "scatter_rates")
     batch, height, width, rates, scatter_rates = (torch.export.Dim(n, min=1) for n in names)
-    # no multiple of a period, which torch.export would take for the rule; nor is a 1 free
+    # torch.export would take a multiple of a period for the rule, and a 1 for fixed
     image = torch.rand(2, 3, 41, 57, dtype=torch.float32)
     free = {0: batch, 2: height, 3: width}
     examples = {"image": (image, free), "distance": (torch.ones_like(image[:, :1]), free)}
@@ -185,7 +185,7 @@ def _examples(graph: Graph, coefficients: bool) -> dict[str, tuple[Tensor, dict[
     for name, row in graph.medium[0].parameters().items() if coefficients else ():
         free, axis = {0: batch}, Medium.TENSORS.get(name, "B")[-1]
         if axis in "KL":
-            # two more rates of no weight, as an example of one rate would fix that number
+            # two more rates without weight, as an example of one rate would fix that number
             row = pad(row, (0, 2))
             free[row.ndim - 1] = rates if axis == "K" else scatter_rates
         examples[name] = (row.expand(2, *row.shape[1:]).clone(), free)
@@ -193,7 +193,7 @@ def _examples(graph: Graph, coefficients: bool) -> dict[str, tuple[Tensor, dict[
 
 
 def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) -> Any:
-    """A module as an ONNX model."""
+    """Trace a module into an ONNX model."""
     plan = plan_of(module)
     graph = Graph(module, plan).eval()
     examples = _examples(graph, coefficients)
@@ -204,7 +204,7 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
             values,
             dynamic_shapes=(sizes,),
             strict=False,
-            # that whole periods cover a picture of any size is more than the exporter can prove
+            # the exporter cannot prove that whole periods cover a picture of any size
             prefer_deferred_runtime_asserts_over_guards=True,
         )
         _drop_assertions(program)
@@ -221,7 +221,7 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
     model = exported.model_proto
     _drop_traces(model.graph)
     model.graph.doc_string = f"{module.medium}; {plan}"
-    # free sizes have names; the output has those of the image
+    # names of free sizes; the output has those of the image
     for value in (*model.graph.input, *model.graph.output):
         value.doc_string = _DOC.get(value.name, f"uwaug.Medium.{value.name}")
         dims = value.type.tensor_type.shape.dim
@@ -233,7 +233,7 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
 
 
 def _metadata(module: Underwater, plan: BlurPlan, coefficients: bool) -> dict[str, str]:
-    """What a file says of itself; `uwaug_module` are the arguments of `Underwater`."""
+    """Metadata of a file; "uwaug_module" holds the arguments of `Underwater`."""
     arguments = {
         "medium": module.medium,
         "distance_range": module.distance_range,
@@ -253,8 +253,8 @@ def _metadata(module: Underwater, plan: BlurPlan, coefficients: bool) -> dict[st
 
 
 def _drop_assertions(program: torch.export.ExportedProgram) -> None:
-    """Drop what a trace asserts of sizes: that they are apart where they are in the example, such
-    as width and whole periods. What is computed holds where they are equal, too.
+    """Drop the trace's assertions that sizes differ where they do in the example. The computation
+    holds where they are equal, too.
     """
     for node in list(program.graph.nodes):
         if node.target is torch.ops.aten._assert_scalar.default:
@@ -264,7 +264,7 @@ def _drop_assertions(program: torch.export.ExportedProgram) -> None:
 
 
 def _drop_traces(graph: Any) -> None:
-    """Drop stack traces, which name files of this machine."""
+    """Drop stack traces, as they name files of this machine."""
     for part in (*graph.node, *graph.input, *graph.output, *graph.initializer):
         part.ClearField("metadata_props")
         part.ClearField("doc_string")
@@ -274,8 +274,8 @@ def _drop_traces(graph: Any) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence two messages of the exporter that do not concern the user: a deprecation inside
-    torch, and operators of a torchvision that is not used.
+    """Silence two messages of the exporter: a deprecation inside torch, and operators of a
+    torchvision that is not used.
     """
     log = logging.getLogger("torch.onnx._internal.exporter._registration")
 

@@ -1,4 +1,4 @@
-"""Run an exported file, and read what it says of itself."""
+"""Runner and metadata of an exported file."""
 
 import json
 import os
@@ -21,13 +21,13 @@ Picture = TypeVar("Picture", Tensor, Array)
 
 
 def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
-    """The metadata that `export_onnx` wrote into a file: `uwaug_version`, `uwaug_water`,
-    `uwaug_plan`, `uwaug_coefficients` ("constants" or "inputs") and, as JSON, `uwaug_module`.
+    """Read the metadata of a file: `uwaug_version`, `uwaug_water`, `uwaug_plan`,
+    `uwaug_coefficients` ("constants" or "inputs") and, as JSON, `uwaug_module`.
 
     Raises:
         ImportError: if onnxruntime is not installed.
         OSError: if the file cannot be read.
-        ValueError: if it is not from uwaug.
+        ValueError: if it is not from `export_onnx`.
     """
     session = Session(path, 1, optimise=False).opened
     metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
@@ -37,10 +37,10 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
 
 
 def module_of(path: str | os.PathLike[str], metadata: dict[str, str]) -> Underwater:
-    """The module that the file at `path` was exported from.
+    """Make the module of the file at `path` from its metadata.
 
     Raises:
-        ValueError: if its metadata are not what `export_onnx` wrote.
+        ValueError: if the metadata are damaged.
     """
     try:
         return Underwater(**from_plain(json.loads(metadata["uwaug_module"])))
@@ -50,9 +50,8 @@ def module_of(path: str | os.PathLike[str], metadata: dict[str, str]) -> Underwa
 
 
 def coefficients_of(medium: Medium) -> dict[str, Array]:
-    """The numbers of a medium as a file exported with `coefficients=True` takes them, by name:
-    float32, a row for each medium; shapes as `Medium.parameters`. Media of other numbers of rates K
-    and L need no padding.
+    """Numbers of a medium by name, for a file exported with `coefficients=True`: float32, a row for
+    each medium, shapes as `Medium.parameters`. The numbers of rates K and L are free.
     """
     return {
         name: np.ascontiguousarray(value.detach().to("cpu", torch.float32).numpy())
@@ -61,17 +60,15 @@ def coefficients_of(medium: Medium) -> dict[str, Array]:
 
 
 class OnnxUnderwater:
-    """Run an exported file like the module that it came from.
-
-    The session is opened at the first call and not pickled, so that the object can live in
-    DataLoader workers.
+    """Exported file that is called like its module. It can be pickled, and so live in DataLoader
+    workers.
 
     Args:
         path: of the file.
         threads: of ONNX Runtime; 0 lets it choose. In DataLoader workers, 1.
 
     Attributes:
-        metadata: what the file says of itself, see `read_metadata`.
+        metadata: see `read_metadata`.
 
     Raises:
         ImportError, OSError, ValueError: as `read_metadata`.
@@ -91,7 +88,7 @@ class OnnxUnderwater:
         Args:
             image (Bx3xHxW or 3xHxW tensor or array): floating point, in the module's color space.
             distance (Bx1xHxW or 1xHxW tensor or array): metres, ≥ 0; +inf is open water.
-            medium: if the file has the coefficients as inputs; one, or one for each image.
+            medium: one, or one for each image; only for a file with coefficients as inputs.
 
         Returns:
             The picture in float32: a tensor or an array, as the image.
@@ -102,27 +99,27 @@ class OnnxUnderwater:
         """
         pictures, maps = map(_tensor, (image, distance))
         checks.floating("image", pictures)
-        kind = self.module
-        validate(pictures, maps, medium or kind.medium[0], color_space=kind.color_space)
+        module = self.module
+        validate(pictures, maps, medium or module.medium[0], color_space=module.color_space)
         rows = {"image": pictures, "distance": maps}
         rows = {name: x.float() if x.ndim == 4 else x[None].float() for name, x in rows.items()}
         rows |= self._coefficients(medium)
-        # all batches are 1 or one common size; if that is 0, the result is empty
+        # batches are 1 or of one common size; if that is 0, the result is empty
         sizes = {len(row) for row in rows.values()}
         batch = 0 if 0 in sizes else max(sizes)
         if batch == 0 or not pictures.numel():
             result = torch.zeros(batch, 3, *pictures.shape[-2:])
         else:
-            if kind.development.noise is not None:
+            if module.development.noise is not None:
                 size = (pictures.shape[-2], pictures.shape[-1])
-                rows["noise"] = kind.development.noise.normals(batch, size, rows["image"])
+                rows["noise"] = module.development.noise.normals(batch, size, rows["image"])
             result = self.session({n: x.expand(batch, *x.shape[1:]) for n, x in rows.items()})
         if pictures.ndim == 3 and batch == 1:
             result = result[0]
         return result if isinstance(image, Tensor) else result.numpy()
 
     def _coefficients(self, medium: Medium | None) -> dict[str, Tensor]:
-        """The medium's numbers as the file takes them."""
+        """Check a medium, and return its numbers as the file takes them."""
         if (medium is not None) != (self.metadata["uwaug_coefficients"] == "inputs"):
             verb = "needs one" if medium is None else "takes none: export with coefficients=True"
             raise ValueError(f"medium: the file {verb}")
@@ -143,5 +140,5 @@ class OnnxUnderwater:
 
 
 def _tensor(value: Any) -> Any:
-    """Arrays as tensors; whatever else is looked at by `validate`."""
+    """Make a tensor of an array; `validate` checks everything else."""
     return torch.from_numpy(value) if isinstance(value, np.ndarray) else value

@@ -1,6 +1,4 @@
-"""Waters and cameras, which know wavelengths, and the medium that comes of them, which is curves of
-distance and a width law.
-"""
+"""Waters and cameras by wavelength, and the medium that they make: curves and a width law."""
 
 import lazy_loader
 

@@ -1,5 +1,5 @@
-"""The inherent optical properties of a medium, band by band: what a lamp, whose light does not come
-down from the surface, needs to know of the water.
+"""Inherent optical properties of a medium at each wavelength, for the light of lamps, which does
+not come down from the surface.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,13 +20,13 @@ from uwaug.optics.surfaces import as_matrices
 @plain
 @dataclass(frozen=True, eq=False)
 class Lamplit:
-    """What files hold of `Bands`: their `under_lamp`."""
+    """The rates and weights of `Bands` under a lamp, which is the part that files hold."""
 
     under_lamp: Mapping[str, Tensor]
 
     @staticmethod
     def of_plain(under_lamp: Mapping[str, Any]) -> "Lamplit":
-        """Of plain numbers, see `uwaug._support.codec`."""
+        """Make it of plain numbers, see `uwaug._support.codec`."""
         tensors = {n: torch.tensor(x, dtype=torch.float64) for n, x in under_lamp.items()}
         return Lamplit(tensors)
 
@@ -38,9 +38,9 @@ class Bands:
     Attributes:
         beta, G, b (M arrays): β, G and scattering coefficient of the water, 1/m.
         response (3xM array): the camera's weights; each channel's sum is 1.
-        lit (3xM or 9xM array): what of each band surfaces send to the channels, see
+        lit (3xM or 9xM array): light of each band that surfaces send to the channels, see
             `uwaug.optics.surfaces.measure`.
-        tolerance: largest error of a curve; 0 where every band is a rate.
+        tolerance: largest error of a curve; 0 keeps every band.
     """
 
     beta: Array
@@ -51,23 +51,22 @@ class Bands:
     tolerance: float
 
     def as_stored(self) -> Lamplit:
-        """What stands for this in a file."""
+        """The part of this that files hold."""
         return Lamplit(self.under_lamp)
 
     @cached_property
     def under_lamp(self) -> dict[str, Tensor]:
         """Rates and weights of `Medium.under_lamp`, of one row, by name."""
-        # b spans some tenths about its mean: as a measure of the scale of the light it keeps the
-        # tolerance relative to it
-        mean = float(self.b.mean()) or 1.0
-        scatter = self.response * self.b / mean
+        # b over its mean is about 1, so that the tolerance is relative to it
+        b_mean = float(self.b.mean()) or 1.0
+        scatter = self.response * self.b / b_mean
         tensors, _ = reduced_curves(self.beta, self.G, self.lit, scatter, self.tolerance)
-        return {**tensors, "veil_weights": mean * tensors["veil_weights"]}
+        return {**tensors, "veil_weights": b_mean * tensors["veil_weights"]}
 
 
 def padded(parts: Sequence[Tensor]) -> Tensor:
-    """One attribute of several media as one tensor: (B) or (B, …, K). The missing rates and weights
-    of some are 0.
+    """Join an attribute of several media to one tensor, (B) or (B, …, K); missing rates and weights
+    are 0.
     """
     if parts[0].ndim == 1:
         return torch.cat(list(parts))

@@ -1,4 +1,4 @@
-"""Cameras: how strongly red, green and blue respond to each wavelength."""
+"""Cameras: responses of red, green and blue by wavelength."""
 
 import os
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from uwaug.optics.spectra import WAVELENGTHS, Spectra, read_spectra, spectrum, w
 _CHANNELS = ("red", "green", "blue")
 
 _DEFAULT = "Nikon 5100 (NPL)"
-"""In the folder `cameras`. The others are asked of colour-science, whose `import` takes .6 s,
-torch, loads 1100 modules and sets NumPy's print options for the whole process.
+"""The camera in the folder `cameras`. All others are read from colour-science, whose import takes
+.6 s, loads 1100 modules and sets NumPy's print options.
 """
 
 
@@ -28,7 +28,7 @@ class Camera(Spectra):
     Args:
         wavelengths (N array): wavelengths [nm], strictly ascending, N ≥ 1.
         response (N×3 array): response of R, G, B ≥ 0 to equal power, on any common scale.
-        name: what to call it.
+        name: shown in messages.
         color_matrix (3×3 array): from its raw channels to linear sRGB, for surfaces with spectra;
             rows are scaled to a sum of 1. It is `rgb_cam` of dcraw, or XYZ → sRGB times a DNG
             file's ForwardMatrix; its ColorMatrix, XYZ → raw, goes the other way. None for the
@@ -68,11 +68,8 @@ class Camera(Spectra):
         vars(self).update(wavelengths=axis, response=values, name=name, color_matrix=matrix)
 
     def at(self, wavelengths: ArrayLike) -> Array:
-        """The response at other wavelengths (M, 3), by linear interpolation; 0 outside the range of
-        the data.
-
-        Args:
-            wavelengths (M array): wavelengths [nm], strictly ascending.
+        """Response (M, 3) at other wavelengths (M array) [nm], strictly ascending, by linear
+        interpolation; 0 outside its range.
 
         Raises:
             TypeError, ValueError: if they are no such axis.
@@ -84,9 +81,9 @@ class Camera(Spectra):
     def weights(self, wavelengths: ArrayLike) -> Array:
         """Quadrature weights: ∫ S_c(λ) f(λ) dλ ≈ Σ_i weights[i, c] f(λ_i), with ∫ S_c = 1.
 
-        The rectangle rule: each sample stands for half the way to either neighbour, the first and
-        last for a whole step (``numpy.gradient``). On a uniform grid the weights are the normalised
-        samples.
+        This is the rectangle rule: each sample stands for half the way to either neighbour, the
+        first and last for a whole step (``numpy.gradient``). On a uniform grid the weights are the
+        normalised samples.
 
         Args:
             wavelengths (M array): wavelengths [nm], strictly ascending.
@@ -110,7 +107,7 @@ class Camera(Spectra):
 
 
 def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
-    """A camera by name or from a file; a ``Camera`` passes through.
+    """Load a camera by name or from a file; a ``Camera`` passes through.
 
     Args:
         camera: a name of colour-science (``colour.MSDS_CAMERA_SENSITIVITIES``), such as "Nikon
@@ -146,48 +143,46 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
 
 @lru_cache(maxsize=16)
 def response_at(camera: Camera, axis: bytes) -> Array:
-    """The camera's weights (3, N) at wavelengths, given as the bytes of their array; rows sum to
-    1.
-    """
+    """Weights (3, N) of a camera at wavelengths, given as an array's bytes; rows sum to 1."""
     return camera.weights(np.frombuffer(axis)).T
 
 
-_SEEN = 0.25
-"""Least share of a channel's response that lies where the water is known. Of 400–600 nm it is .49,
-and pictures are right within .01; of 400–550 nm .13, and grey looks red.
+_MIN_COVERED_SHARE = 0.25
+"""Smallest share of a channel's response that must lie where the water has spectra. At 400–600 nm
+it is .49, and pictures are right within .01. At 400–550 nm it is .13, and grey looks red.
 """
 
 
 @lru_cache(maxsize=16)
-def require_seen(camera: Camera, low: float, high: float) -> None:
-    """Refuse wavelengths, nm, between which a channel sees little of what it sees."""
+def require_covered(camera: Camera, low: float, high: float) -> None:
+    """Refuse a range of wavelengths, nm, that misses most of a channel's response."""
     inside = (low <= WAVELENGTHS) & (high >= WAVELENGTHS)
     shares = camera.weights(WAVELENGTHS)[inside].sum(0).tolist()
     for channel, share in zip(_CHANNELS, shares, strict=True):
-        if share < _SEEN:
-            whose = f"{share:.0%} of what {channel} of camera {camera.name!r} sees"
+        if share < _MIN_COVERED_SHARE:
+            covered = f"{share:.0%} of what {channel} of camera {camera.name!r} sees"
             cure = "give spectra for more of 400–700 nm"
-            raise ValueError(f"water covers {low:g}–{high:g} nm, {whose}: {cure}")
+            raise ValueError(f"water covers {low:g}–{high:g} nm, {covered}: {cure}")
 
 
 def _matrix(values: ArrayLike) -> Array:
-    """A colour matrix, of rows whose sum is 1."""
+    """Check a colour matrix, and scale its rows to a sum of 1."""
     matrix = np.array(values, np.float64)
     sums = matrix.sum(-1) if matrix.shape == (3, 3) else np.zeros(3)
     if not (np.isfinite(matrix).all() and (sums > 0).all() and np.linalg.cond(matrix) < 1e3):
         expected = "3x3 numbers that can be inverted, with rows of a positive sum"
         raise ValueError(f"color_matrix must be {expected}, got {values!r:.80}")
-    # those of a matrix that was scaled before stay as they are, to the last bit
+    # rows that were scaled before stay as they are, to the last bit
     rows: Array = matrix / np.where(np.abs(sums - 1) < 1e-12, 1.0, sums)[:, None]
     rows.flags.writeable = False
     return rows
 
 
-def _require_response(values: Array, whose: str) -> None:
+def _require_response(values: Array, subject: str) -> None:
     peaks = dict(zip(_CHANNELS, values.max(axis=0), strict=True))
     dark = [channel for channel, peak in peaks.items() if peak == 0]
     if dark:
-        raise ValueError(f"{whose} has no response in {' and '.join(dark)}")
+        raise ValueError(f"{subject} has no response in {' and '.join(dark)}")
 
 
 def _plain_name(name: str) -> str:
@@ -197,8 +192,8 @@ def _plain_name(name: str) -> str:
 @cache
 def _named(plain_name: str) -> Camera:
     if plain_name == _plain_name(_DEFAULT):
-        read = _read_csv(Path(__file__).parent / "cameras" / "nikon-5100-npl.csv")
-        return Camera(read.wavelengths, read.response, _DEFAULT)
+        camera = _read_csv(Path(__file__).parent / "cameras" / "nikon-5100-npl.csv")
+        return Camera(camera.wavelengths, camera.response, _DEFAULT)
     with np.printoptions():
         from colour import MSDS_CAMERA_SENSITIVITIES as CAMERAS
     for name, sensitivities in CAMERAS.items():

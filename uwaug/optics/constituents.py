@@ -1,5 +1,5 @@
-"""What is in a water, and what it does to light: a bio-optical model of chlorophyll, coloured
-dissolved organic matter (CDOM) and minerals.
+"""A bio-optical model of the contents of a water: chlorophyll, coloured dissolved organic matter
+(CDOM) and minerals.
 
     a = a_w + A_p C^E_p + g e^(−.014 (λ − 440)) + .041 s e^(−.0123 (λ − 443))
     b = b_w + .347 C^.766 (λ/660)^ν + 1.1513 s (400/λ)^1.7
@@ -15,15 +15,12 @@ type):
     | Williamson & Hollins '22 | .10, .17 | .03, .04 | .14, .22 |
     | the two from each other  | .37, .61 | .66, 1.3 | .11, .21 |
 
-The worst is type III, which Solonenko & Mobley let scatter 1/m and hardly absorb.
-Lost on the same tables: phytoplankton as .06 A(λ) C^.65 (a .16 with their own C, this .14),
-scattering by minerals as .51 (555/λ)^.3 (b .22), CDOM's slope .0176 (a .13 on the measured types),
-K_d as (a + b_b)/μ₀ (.26) and as Lee et al. 2005 (.09, this .06, from each type's own a and b). With
-half of the minerals' absorption type III is nearer (a .14), and muddy rivers would be too white.
+The worst is type III, which Solonenko & Mobley let scatter 1/m and hardly absorb. With half of the
+minerals' absorption type III is nearer (a .14), and muddy rivers would be too white.
 
 References:
     A_p, E_p: Bricaud et al., J. Geophys. Res. 103 (1998), particles of Case 1 waters, measured at
-        .02–25 mg/m³ and 400–700 nm: the range of these waters, as nothing is extrapolated.
+        .02–25 mg/m³ and 400–700 nm, the range of these waters.
     CDOM: Bricaud et al., Limnol. Oceanogr. 26 (1981).
     Minerals: absorption, Babin et al., J. Geophys. Res. 108 (2003); scattering, the small
         (terrigenic) particles of Haltrin, Appl. Opt. 38 (1999), as in Solonenko & Mobley (1.513 in
@@ -53,12 +50,12 @@ UNITS = {
     "cdom": "1/m at 440 nm",
     "minerals": "g/m³",
 }
-"""Of each content. A new one is a line here, a field of `Constituents`, and its terms in
+"""Unit of each content. A new content is a line here, a field of `Constituents`, and its terms in
 `optical_properties`.
 """
 
 MAX_CONTENT = 1e4
-"""Of each, in its unit."""
+"""Largest amount of a content, in its unit."""
 
 MEAN_COSINE = 0.9
 """Mean cosine of daylight below the surface. Solonenko & Mobley have .98 in the ocean and .85 at
@@ -68,10 +65,10 @@ the coast.
 CDOM = np.exp(-0.014 * (WAVELENGTHS - 440))
 ABSORBED_BY_MINERALS = 0.041 * np.exp(-0.0123 * (WAVELENGTHS - 443))
 SCATTERED_BY_MINERALS = 1.1513 * (400 / WAVELENGTHS) ** 1.7
-"""Per unit of each content, 1/m."""
+"""Absorption and scattering at `WAVELENGTHS` by one unit of a content, 1/m."""
 
 SCATTERED_BY_PHYTOPLANKTON = 0.347, 0.766
-"""1/m at 660 nm and 1 mg/m³ of chlorophyll, and the exponent of chlorophyll."""
+"""Scattering, 1/m, at 660 nm and 1 mg/m³ of chlorophyll, and the exponent of chlorophyll."""
 
 LOST_BY_SCATTERING = 0.425 * MEAN_COSINE - 0.19
 """G(μ₀) of Kirk 1984, the share of A·(b − b_w) in (μ₀ K_d)²."""
@@ -80,13 +77,13 @@ LOST_BY_SCATTERING = 0.425 * MEAN_COSINE - 0.19
 @plain
 @dataclass(frozen=True)
 class Constituents(Noun):
-    """Ranges of what is in a water, from which `RandomUnderwater` draws one for each picture.
+    """Contents of a water: numbers, or ranges from which `RandomUnderwater` draws for each picture.
 
-    Each is a number or (low, high), drawn uniformly in its logarithm.
+    A range (low, high) is drawn uniformly in its logarithm.
 
     Args:
-        chlorophyll, cdom, minerals: in the units of `Water.from_constituents`, which says what
-            natural waters have.
+        chlorophyll, cdom, minerals: amounts in the units of `Water.from_constituents`, which gives
+            those of natural waters.
 
     Raises:
         TypeError: if one is neither a number nor a pair of them.
@@ -116,14 +113,14 @@ class Constituents(Noun):
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Constituents as one writes them on a command line.
+        """Read contents as they are written on a command line.
 
         Args:
             text: such as "chlorophyll=5,cdom=0.3", or with ranges "chlorophyll=1:10,minerals=.5:5";
-                what is missing is 0.
+                contents that are missing are 0.
 
         Raises:
-            ValueError: if it is none of this.
+            ValueError: if a content is unknown, named twice, or has no number or range.
         """
         ranges: dict[str, float | tuple[float, float]] = {}
         for part in text.split(","):
@@ -141,34 +138,35 @@ class Constituents(Noun):
 
     @property
     def name(self) -> str:
-        """What `parse` reads; all that is not 0."""
+        """Contents that are not 0, as `parse` reads them."""
         texts = [f"{name}={_text(getattr(self, name))}" for name in UNITS if getattr(self, name)]
         return ",".join(texts) or "chlorophyll=0"
 
     @property
     def fixed(self) -> bool:
-        """Whether it is one water, with nothing to draw."""
+        """True if no content has a range: one water."""
         return not self.random()
 
     @property
     def amounts(self) -> dict[str, float]:
-        """How much of each is in it, where it is one water."""
+        """Amount of each content, of one water."""
         return asdict(self)
 
     def holds(self, amounts: Mapping[str, float]) -> bool:
-        """Whether a water with so much of each can be drawn."""
-        each = amounts.keys() == self._ends.keys()
-        return each and all(low <= amounts[n] <= high for n, (low, high, _) in self._ends.items())
+        """True if a water with these amounts can be drawn."""
+        if amounts.keys() != self._ends.keys():
+            return False
+        return all(low <= amounts[n] <= high for n, (low, high, _) in self._ends.items())
 
 
 def _text(value: float | tuple[float, float]) -> str:
-    # the shortest text that is the same number again
+    """Shortest text that reads as the same number, or range."""
     numbers = value if isinstance(value, tuple) else (value,)
     return ":".join(repr(number).removesuffix(".0") for number in numbers)
 
 
 def optical_properties(amounts: Mapping[str, float]) -> Array:
-    """a, b and K_d (3, N) [1/m] at `WAVELENGTHS` of a water with so much of each content."""
+    """a, b and K_d (3, N) [1/m] at `WAVELENGTHS` of a water with these amounts of contents."""
     absorption, scattering = pure_water(WAVELENGTHS.tobytes())
     a = absorption + amounts["cdom"] * CDOM + amounts["minerals"] * ABSORBED_BY_MINERALS
     by_particles = amounts["minerals"] * SCATTERED_BY_MINERALS
@@ -179,15 +177,15 @@ def optical_properties(amounts: Mapping[str, float]) -> Array:
         at_660, exponent = SCATTERED_BY_PHYTOPLANKTON
         slope = min(max((math.log10(chlorophyll) - 0.3) / 2, -1.0), 0.0)
         by_particles += at_660 * chlorophyll**exponent * (WAVELENGTHS / 660) ** slope
-    # what molecules scatter backwards, half of it, is lost as if it were absorbed
-    lost = a + scattering / 2
-    kd = np.sqrt(lost * lost + LOST_BY_SCATTERING * lost * by_particles) / MEAN_COSINE
+    # molecules scatter half of the light backwards, which is lost as if it were absorbed
+    loss = a + scattering / 2
+    kd = np.sqrt(loss * loss + LOST_BY_SCATTERING * loss * by_particles) / MEAN_COSINE
     return np.array([a, scattering + by_particles, kd])
 
 
 @cache
 def phytoplankton() -> tuple[Array, Array]:
-    """Absorption at 1 mg/m³ of chlorophyll, and its exponent."""
+    """Absorption, 1/m, at 1 mg/m³ of chlorophyll and its exponent, at `WAVELENGTHS` (N each)."""
     path = Path(__file__).parent / "phytoplankton.csv"
     table = read_spectra(path, {"A": "absorption", "E": "exponent"})
     at_1, exponents = (np.interp(WAVELENGTHS, table[:, 0], column) for column in table[:, 1:].T)

@@ -7,11 +7,13 @@ import torch
 from torch import Tensor
 
 FARTHEST = 1e9
-"""m, stands for z = +inf, so that 0·inf never arises; any rate above 1e-7/m is spent by then."""
+"""Distance, m, that stands for +inf, so that 0·inf never arises; at any rate above 1e-7/m all light
+is gone there.
+"""
 
-_CANCELS = 1 / 256
-"""Optical depth; nearer, 1 − e^−x keeps less than 16 of the 24 bits of single precision, and the
-veil less than 2e-5 of itself.
+_MIN_DEPTH = 1 / 256
+"""Optical depth below which 1 − e^−x keeps less than 16 of the 24 bits of single precision, and the
+veil is off by 2e-5 of itself.
 """
 
 _LOG2E = math.log2(math.e)
@@ -44,8 +46,8 @@ class Sums(NamedTuple):
             the direct term, then those that signal and veil share.
         weights (Bx9xR): the three curves, of three channels each; Bx21xR of surfaces with spectra,
             whose first two curves have nine.
-        direct: how many of the rates are those of the direct term.
-        shifted: the first of the rates whose exponentials stand for e^−x − 1; None if all stand
+        direct: number of the rates of the direct term.
+        shifted: index of the first rate whose exponential stands for e^−x − 1; None if all stand
             for e^−x.
     """
 
@@ -56,7 +58,7 @@ class Sums(NamedTuple):
 
     @property
     def is_spectral(self) -> bool:
-        """Whether they are those of surfaces with spectra."""
+        """True for surfaces with spectra."""
         return self.weights.shape[1] == 21
 
 
@@ -70,13 +72,13 @@ def curves(sums: Sums, z: Tensor) -> Curves:
     Returns:
         The curves, B the larger of the two batches.
     """
-    left = _exponentials(sums, z)
-    b = left.shape[0]  # len() of it would be fixed in a graph
+    exponentials = _exponentials(sums, z)
+    b = exponentials.shape[0]  # len() of it would be fixed in a graph
     channels = (3, 3) if sums.is_spectral else (3,)
     if torch.compiler.is_compiling():  # ONNX Runtime would copy the parts of one product
-        parts = [weights @ left for weights in _parts(sums.weights)]
+        parts = [weights @ exponentials for weights in _parts(sums.weights)]
     else:  # three products take half as long again
-        parts = _parts(sums.weights.expand(b, -1, -1) @ left)
+        parts = _parts(sums.weights.expand(b, -1, -1) @ exponentials)
     shapes = ((b, *channel, *z.shape[-2:]) for channel in (channels, channels, (3,)))
     return Curves(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
 
@@ -86,15 +88,15 @@ def mix(sums: Sums, z: Tensor, light: Tensor, blurred: Tensor) -> Tensor:
     each rate and then summed, as Σ T_β·(J − blur) + T_G·blur + V(0) − V: matrices of curves would
     take half as long again.
     """
-    left, size, soft = _exponentials(sums, z), z.shape[-2:], blurred.flatten(2)
+    stack, size, soft = _exponentials(sums, z), z.shape[-2:], blurred.flatten(2)
     first = 1 + sums.direct
     direct, signal, veil = _parts(sums.weights)
-    exponentials = left[:, :, None].unbind(1)
+    exponentials = stack[:, :, None].unbind(1)
     terms = list(zip(exponentials[first:], _mixed(signal[..., first:], soft), strict=True))
     if blurred is not light:
         sharp = (light - blurred).flatten(2)
         terms += zip(exponentials[1:first], _mixed(direct[..., 1:first], sharp), strict=True)
-    total = torch.addcmul(veil @ left, *terms[0])  # of the widest batch
+    total = torch.addcmul(veil @ stack, *terms[0])  # of the widest batch
     for exponential, colours in terms[1:]:
         total.addcmul_(exponential, colours)
     if sums.shifted is not None:
@@ -103,13 +105,13 @@ def mix(sums: Sums, z: Tensor, light: Tensor, blurred: Tensor) -> Tensor:
 
 
 def _mixed(weights: Tensor, light: Tensor) -> tuple[Tensor, ...]:
-    """What the matrix of each rate (Bx9xR) makes of light (Bx3xN): R tensors (Bx3xN)."""
+    """Products of the matrix of each rate (Bx9xR) and light (Bx3xN): R tensors (Bx3xN)."""
     matrices = torch.unflatten(weights, 1, (3, 3)).permute(0, 3, 1, 2)
     return torch.unflatten(matrices.flatten(1, 2) @ light, 1, (-1, 3)).unbind(1)
 
 
 def _parts(rows: Tensor) -> list[Tensor]:
-    """What of the rows (Bx9xR or Bx21xR) is of each curve."""
+    """Split rows (Bx9xR or Bx21xR) into those of the three curves."""
     count = (rows.shape[1] - 3) // 2
     if torch.compiler.is_compiling():  # the exporter of ONNX tells the user of each split
         return [rows[:, :count], rows[:, count : 2 * count], rows[:, 2 * count :]]
@@ -118,7 +120,7 @@ def _parts(rows: Tensor) -> list[Tensor]:
 
 
 def _exponentials(sums: Sums, z: Tensor) -> Tensor:
-    """e^(−rate·z), or that − 1, of each rate (BxRxN)."""
+    """e^(−rate·z) of each rate (BxRxN), less 1 from `sums.shifted` on."""
     flat, split = z.flatten(1)[:, None], sums.shifted
     if split is None:
         return decay(sums.rates, flat)
@@ -127,8 +129,8 @@ def _exponentials(sums: Sums, z: Tensor) -> Tensor:
 
 
 def passed(T: Tensor, light: Tensor) -> Tensor:
-    """What is left of light (Bx3xHxW) after transmittances: T·J of each channel, or the product
-    of matrices (Bx3x3xHxW) and colours.
+    """Light (Bx3xHxW) after transmittances: T·J of each channel, or the product of matrices
+    (Bx3x3xHxW) and colours.
     """
     if T.ndim < 5:
         return T * light
@@ -137,7 +139,7 @@ def passed(T: Tensor, light: Tensor) -> Tensor:
 
 
 def added(first: Curves, second: Curves) -> Curves:
-    """The curves of two lights together. Numbers beside matrices are diagonals: three weights may
+    """Sum of the curves of two lights. Numbers beside matrices are diagonals: three weights may
     serve for one light where another mixes channels.
     """
     if first.direct.ndim == second.direct.ndim:
@@ -163,5 +165,5 @@ def decay(rates: Tensor, z: Tensor) -> Tensor:
 
 
 def cancels(rate: Tensor, z: Tensor) -> bool:
-    """Whether 1 − e^(−rate·z) would lose digits anywhere, so that e^x − 1 has to be used."""
-    return bool((rate * z <= _CANCELS).any())
+    """True if 1 − e^(−rate·z) would lose digits anywhere, so that `expm1` is needed."""
+    return bool((rate * z <= _MIN_DEPTH).any())

@@ -1,6 +1,4 @@
-"""The tables of Jerlov's water types, as the package `jerlov` holds them, with their misprints
-repaired.
-"""
+"""Tables of the Jerlov water types, as the package `jerlov` holds them, with misprints repaired."""
 
 import re
 import warnings
@@ -24,10 +22,10 @@ IN_WORDS = {
     "7C": "very murky coast",
     "9C": "murkiest coast",
 }
-"""What the Jerlov water types are."""
+"""The Jerlov water types, each in words."""
 
 JERLOV_TYPES = tuple(IN_WORDS)
-"""In the order of their classification: open ocean, then coast, clear to turbid."""
+"""The Jerlov water types as they are classified: open ocean, then coast, clear to turbid."""
 
 
 class Source(NamedTuple):
@@ -35,11 +33,11 @@ class Source(NamedTuple):
 
     Attributes:
         cited: paper and doi.
-        low, high: nm, the range to use. All three quantities have to be known in it.
-        repairs: what fills the gaps of a quantity: a source of `jerlov`, and how it is cited. (The
-            gaps of b come reconstructed from `jerlov` itself.)
-        misprint: why a quantity has gaps beside values.
-        flags: what a flag of `jerlov` means.
+        low, high: range to use, nm, in which all three quantities have to be known.
+        repairs: source of `jerlov` that fills the gaps of a quantity, and its citation. (The gaps
+            of b come reconstructed from `jerlov` itself.)
+        misprint: reason why a quantity has gaps beside values.
+        flags: meaning of each flag of `jerlov`.
     """
 
     cited: str
@@ -48,14 +46,6 @@ class Source(NamedTuple):
     repairs: dict[str, tuple[str, str]]
     misprint: str
     flags: dict[str, str]
-
-
-class Table(NamedTuple):
-    """Wavelengths [nm], a, b and K_d [1/m] at each, and a statement of where each is from."""
-
-    wavelengths: Array
-    spectra: dict[str, Array]
-    provenance: list[str]
 
 
 _LABELS = {"a": "a", "b": "b", "kd": "K_d"}
@@ -88,8 +78,10 @@ SOURCES = {
 }
 
 
-def repaired_table(type: str, source: str) -> Table:
-    """The table of a water type, without gaps; see `Water.jerlov`."""
+def repaired_table(type: str, source: str) -> tuple[Array, dict[str, Array], list[str]]:
+    """Wavelengths [nm], spectra a, b and kd [1/m] without gaps, and their sources, of a water type;
+    see `Water.jerlov`.
+    """
     import jerlov
 
     checks.one_of("source", source, SOURCES)
@@ -114,10 +106,10 @@ def repaired_table(type: str, source: str) -> Table:
             reason = "not in this source" if gaps.all() else origin.misprint
             flags[f"{cited} ({reason})"] = grid[gaps].tolist()
         for flag, nm in flags.items():
-            where = f"{label} at {min(nm):g}–{max(nm):g} nm"
-            notes.append(f"Jerlov {type}: {where}: {origin.flags.get(flag, flag)}")
+            subject = f"{label} at {min(nm):g}–{max(nm):g} nm"
+            notes.append(f"Jerlov {type}: {subject}: {origin.flags.get(flag, flag)}")
         spectra[key] = values
-    return Table(grid, spectra, notes)
+    return grid, spectra, notes
 
 
 def _tabulated(

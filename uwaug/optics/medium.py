@@ -6,7 +6,7 @@ distance.
 | a, b, K_d | absorption, scattering, diffuse attenuation of the water at each wavelength | 1/m |
 | β = a + b | beam attenuation | 1/m |
 | g | share of the scattered light that leaves the line of sight | 1 |
-| G = a + g·b | attenuation of what still carries the picture | 1/m |
+| G = a + g·b | attenuation of the light that carries the picture | 1/m |
 | d | depth of the scene below the surface | m |
 | E = e^(−K_d d) | light that is left at that depth | 1 |
 | μ | share of the scattered light that is sent towards the camera | 1 |
@@ -15,14 +15,14 @@ distance.
 | z | distance along the ray; a medium field m multiplies it before it comes here | m |
 | b̄ | mean of b over the channels | 1/m |
 
-    T_β,c(z) = ∫ S_c·E·e^(−β z) dλ  ≈ Σ_k w_ck e^(−β_k z)    what arrives unscattered
-    T_G,c(z) = ∫ S_c·E·e^(−G z) dλ  ≈ Σ_l s_cl e^(−G_l z)    what arrives at all (direct + forward)
-    V_c(z) = ∫ S_c·V(0)·e^(−G z) dλ ≈ Σ_l v_cl e^(−G_l z)    so that the veil is V(0) − V(z)
+    T_β,c(z) = ∫ S_c·E·e^(−β z) dλ  ≈ Σ_k w_ck e^(−β_k z)    light that arrives unscattered
+    T_G,c(z) = ∫ S_c·E·e^(−G z) dλ  ≈ Σ_l s_cl e^(−G_l z)    the same, and scattered forward
+    V_c(z) = ∫ S_c·V(0)·e^(−G z) dλ ≈ Σ_l v_cl e^(−G_l z)    the veil is V(0) − V(z)
     σ(z) = scale·(b̄ z)^exponent                              width of the forward scatter, px
 
-With surfaces that have spectra, T_β and T_G are matrices: what channel c shows of the scene's
-channel j, with S_c·ρ_j for S_c, and S the response of the camera with its colour matrix, which may
-be negative (see `uwaug.optics.surfaces`).
+With surfaces that have spectra, T_β and T_G are matrices from channel j of the scene to channel c,
+with S_c·ρ_j for S_c. S is the response of the camera with its colour matrix, which may be negative
+(see `uwaug.optics.surfaces`).
 
 Each integral becomes a sum of a few exponentials, of positive weights where the integrand is
 positive: exact at z = 0, right at any distance.
@@ -47,7 +47,7 @@ from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug._support.codec import plain
 from uwaug.optics.bands import Bands, Lamplit, padded
-from uwaug.optics.camera import Camera, load_camera, require_seen, response_at
+from uwaug.optics.camera import Camera, load_camera, require_covered, response_at
 from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves, mix
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import attenuations, default_bands, reduced
@@ -66,16 +66,16 @@ from uwaug.optics.water import Water, load_water
 _OF_COEFFICIENTS = "coefficients: one rate per channel"
 
 _G_ROUNDING = 1e-6
-"""1/m, and of beta: by so much G may be more."""
+"""Rounding by which G may exceed beta, in 1/m and as a share of it."""
 
 _MIN_LIGHT = 1e-30
 """Stands for the light of a channel that gets none."""
 
 _MIN_SHARE = 1e-6
-"""Share of a channel's light that is told from none."""
+"""Smallest share of a channel's light from which a rate is taken."""
 
 _BRIGHT_VEIL = 1.05
-"""V(0) from which on a veil is said to be brighter than a white plate."""
+"""V(0) above which the notes say that the veil is brighter than a white plate."""
 
 
 @plain
@@ -91,9 +91,9 @@ class Medium:
         veil_weights (Bx3xL tensor): weights of V; their sum is the veil at infinite distance.
         b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
         point_spread: the width law.
-        notes: one line per medium on what it models.
-        bands: each medium band by band, for lamps; empty if only the sums are known.
-        snow: what particles each has, see `with_snow`; empty if none has any.
+        notes: a line on each medium.
+        bands: each medium at each wavelength, for lamps; empty if only the sums are known.
+        snow: particles of each medium, see `with_snow`; empty if none has any.
     """
 
     TENSORS: ClassVar = {
@@ -105,8 +105,8 @@ class Medium:
         "b_mean": "B",
     }
     """The tensors and their axes: B media, K rates of the direct term, L of signal and veil, C
-    channels of the picture, and of surfaces with spectra S channels of the scene. Whatever copies,
-    stacks, brightens, learns, stores or exports media goes by it.
+    channels of the picture, and of surfaces with spectra S channels of the scene. All code that
+    copies, stacks, brightens, learns, stores or exports media goes by it.
     """
 
     beta: Tensor
@@ -127,7 +127,7 @@ class Medium:
         for name, axes in self.TENSORS.items():
             tensor = getattr(self, name)
             shape = tuple(map(sizes.__getitem__, filter(sizes.__contains__, axes)))
-            if tensor.ndim == 0:  # one number for all, as a default is
+            if tensor.ndim == 0:  # one number for all, as a default of a new field
                 object.__setattr__(self, name, tensor.to(self.beta).expand(shape))
             elif tuple(tensor.shape) != shape:
                 got = tuple(tensor.shape)
@@ -136,8 +136,8 @@ class Medium:
 
     @staticmethod
     def of_plain(**values: Any) -> "Medium":
-        """A medium of plain numbers, see `uwaug._support.codec`; or of those of
-        `from_coefficients`, as a person writes them.
+        """Make a medium of plain numbers, see `uwaug._support.codec`; or, as a person writes them,
+        of the arguments of `from_coefficients`.
         """
         if "direct_weights" not in values:
             return Medium.from_coefficients(**values)
@@ -170,7 +170,7 @@ class Medium:
                 one that fills it.
             mu: share of the scattered light that is sent towards the camera, 0…1, where 1 in the
                 image means a white vertical plate; None for 1.5·g, as far away the veil goes as
-                μ/g. A veil of more than 1.05 of white is said in the notes.
+                μ/g. The notes mention a veil of more than 1.05 of white.
             point_spread: width law, by default `PointSpread.paper()`.
             surfaces: "grey", where a channel of the picture depends on that channel of the scene
                 alone, as in the paper; or "spectral", where colours of the scene have spectra, and
@@ -200,7 +200,7 @@ class Medium:
     @staticmethod
     def of_spectra(
         water: Water,
-        eye: Camera,
+        camera: Camera,
         vertical_depth: float,
         g: float,
         mu: float,
@@ -209,15 +209,15 @@ class Medium:
         color_matrix: float,
         tolerance: float,
     ) -> "Medium":
-        """As `from_water`, of numbers that are known to be good."""
+        """Reduce spectra as `from_water`, whose checks and defaults come before."""
         spectra = water.at(default_bands(water))
         axis, b = spectra.wavelengths, spectra.b
-        require_seen(eye, float(axis[0]), float(axis[-1]))
-        sensor = response_at(eye, axis.tobytes())
+        require_covered(camera, float(axis[0]), float(axis[-1]))
+        sensor = response_at(camera, axis.tobytes())
         basis, response = None, sensor
         if is_spectral:
             basis = reflectances(axis.tobytes())
-            response, basis = through_camera(sensor, basis, color_matrix, eye.color_matrix)
+            response, basis = through_camera(sensor, basis, color_matrix, camera.color_matrix)
         beta, G = attenuations(spectra.a, b, g)
         light = np.exp(-spectra.kd * vertical_depth)
         veil = mu * b * light / G
@@ -257,8 +257,8 @@ class Medium:
             point_spread: width law, by default no blur.
             light (3 or Bx3): ambient light at the scene, e^(−K_d d).
 
-        Tensors keep their gradients; all are float64 inside unless given as tensors of another
-        type.
+        Tensors keep their gradients. All take the type of the first floating-point tensor, or
+        float64.
 
         Raises:
             ValueError: if a shape is another, batches differ, a value is negative or infinite, or G
@@ -283,7 +283,7 @@ class Medium:
 
     @staticmethod
     def stack(media: "Iterable[Medium]") -> "Medium":
-        """One batch of several media; their width laws must share shape and reference size.
+        """Join media to one batch; their width laws must share shape and reference size.
 
         Raises:
             TypeError: if one is no `Medium`.
@@ -306,7 +306,7 @@ class Medium:
         return Medium(**tensors, point_spread=law, notes=notes, bands=bands, snow=snow)
 
     def with_snow(self, snow: MarineSnow | None) -> "Medium":
-        """This water with particles in it, which a camera sees one by one."""
+        """The same water with particles that a camera sees one by one; None takes them out."""
         if snow is None:
             return replace(self, snow=())
         checks.instance("snow", snow, MarineSnow)
@@ -317,7 +317,7 @@ class Medium:
         return len(self.beta)
 
     def __getitem__(self, i: int | slice) -> "Medium":
-        """The i-th medium, as a batch of one; or those of a slice."""
+        """The i-th medium as a batch of one, or the media of a slice."""
         part = i if isinstance(i, slice) else slice(index(i), index(i) + 1 or None)
         if not range(len(self))[part]:
             raise IndexError(f"medium {i!r} of {len(self)}")
@@ -333,13 +333,13 @@ class Medium:
         return replace(wide, **rest)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
-        """`function` applied to each tensor, those of the width law included."""
+        """Apply a function to each tensor, those of the width law included."""
         tensors: dict[str, Any] = {name: function(getattr(self, name)) for name in self.TENSORS}
         return replace(self, **tensors, point_spread=self.point_spread.map(function))
 
     @staticmethod
     def of_tensors(tensors: Iterable[Tensor], point_spread: PointSpread) -> "Medium":
-        """The inverse of `tensors`."""
+        """Make a medium of its `tensors` and a width law."""
         named: dict[str, Any] = dict(zip(Medium.TENSORS, tensors, strict=True))
         return Medium(**named, point_spread=point_spread)
 
@@ -355,20 +355,18 @@ class Medium:
         return tuple([getattr(self, name) for name in self.TENSORS])
 
     def parameters(self) -> dict[str, Tensor]:
-        """All that is continuous in a medium, by name, each with a row for every medium: the
-        tensors, and scale and exponent (B,) of the width law.
-        """
+        """Tensors of the medium and scale and exponent (B,) of the width law, by name."""
         tensors = {name: getattr(self, name) for name in self.TENSORS}
         return tensors | self.point_spread.rows(len(self), self.beta)
 
     @property
     def is_spectral(self) -> bool:
-        """Whether each channel of the picture depends on all three of the scene."""
+        """True if each channel of the picture depends on all three of the scene."""
         return self.direct_weights.ndim == 4
 
     @property
     def is_of_coefficients(self) -> bool:
-        """Whether each channel has one rate of each curve, as `from_coefficients` makes them."""
+        """True if each channel has one rate of each curve, as `from_coefficients` makes them."""
         weights = (self.direct_weights, self.signal_weights, self.veil_weights)
         square = all(w.ndim == 3 and w.shape[-1] == 3 for w in weights)
         return square and all(torch.equal(w, w * torch.eye(3).to(w)) for w in weights)
@@ -381,7 +379,7 @@ class Medium:
 
         def rate(weights: Tensor, rates: Tensor) -> Tensor:
             arriving = white(weights) @ torch.exp(-rates * metres)[..., None]
-            # a colour matrix may leave less than nothing
+            # with a colour matrix the light of a channel may be negative
             share = arriving[..., 0] / light.clamp(min=_MIN_LIGHT)
             return -torch.log(share.clamp(_MIN_SHARE, 1.0)) / metres
 
@@ -404,15 +402,15 @@ class Medium:
 
     @property
     def requires_grad(self) -> bool:
-        """Whether any tensor, the width law's included, records gradients."""
+        """True if a tensor, those of the width law included, records gradients."""
         return checks.records(*self.tensors()) or self.point_spread.requires_grad
 
     def sums(self, *, exact_at_lens: bool) -> Sums:
         """The three curves as sums of exponentials, for `uwaug.optics.curves.curves`.
 
-        exact_at_lens: compute the veil without cancellation, so that a millimetre of water gives a
-        small veil, not 0. Otherwise V(0) − V(z) is subtracted, which takes half the time, and
-        loses digits only there.
+        With `exact_at_lens` the veil is computed without cancellation, so that a millimetre of
+        water gives a small veil, not 0. Otherwise V(0) − V(z) is subtracted, which takes half the
+        time and loses digits only there.
         """
         direct, signal = self.direct_weights.flatten(1, -2), self.signal_weights.flatten(1, -2)
         veil = self.veil_weights
@@ -432,8 +430,8 @@ class Medium:
         return Sums(rates, torch.cat(weights, 1), self.beta.shape[1], split)
 
     def _any_at_lens(self, z: Tensor) -> bool:
-        """Whether a distance z (B or 1, …), m, is so near that V(0) − V(z) would cancel; it is
-        taken to be where nobody can look.
+        """True if a distance z (B or 1, …), m, is so near that V(0) − V(z) would cancel; also where
+        values cannot be looked at.
         """
         if not checks.on_host(z):
             return True
@@ -443,12 +441,12 @@ class Medium:
     def under_lamp(self) -> "Medium":
         """The water in the white light of a lamp, which does not come down from the surface.
 
-            T_β,c(z) = ∫ S_c·e^(−β z) dλ        what arrives unscattered
-            T_G,c(z) = ∫ S_c·e^(−G z) dλ        what arrives at all
-            b_c(x) = ∫ S_c·b·e^(−G x) dλ        what a metre of water scatters, seen after x metres
+            T_β,c(z) = ∫ S_c·e^(−β z) dλ        light that arrives unscattered
+            T_G,c(z) = ∫ S_c·e^(−G z) dλ        the same, and scattered forward
+            b_c(x) = ∫ S_c·b·e^(−G x) dλ        scattered by a metre of water, seen after x metres
 
-        A medium of numbers alone, as one that learns, has no bands: its own rates and the shares of
-        its light stand for them, and b̄ for b.
+        Without bands, as in a medium that learns, the medium's rates and shares of light stand for
+        these curves, and b̄ for b.
 
         Returns:
             A medium whose `veil_weights` are those of b_c, 1/m.
@@ -459,12 +457,12 @@ class Medium:
                 name: padded([medium[name] for medium in media]).to(self.beta) for name in media[0]
             }
             return replace(self, **tensors, bands=())
-        of_white = white(self.signal_weights).sum(-1).clamp(min=_MIN_LIGHT)
-        of_white = of_white.reshape(len(self), 3, *[1] * (self.signal_weights.ndim - 2))
-        signal = self.signal_weights / of_white
+        light = self.ambient().clamp(min=_MIN_LIGHT)
+        light = light.reshape(len(self), 3, *[1] * (self.signal_weights.ndim - 2))
+        signal = self.signal_weights / light
         return replace(
             self,
-            direct_weights=self.direct_weights / of_white,
+            direct_weights=self.direct_weights / light,
             signal_weights=signal,
             veil_weights=white(signal) * self.b_mean[:, None, None],
         )
@@ -479,16 +477,16 @@ class Medium:
 
         Args:
             z (Bx1xHxW tensor): effective distance, m, finite, ≥ 0.
-            J, soft (Bx3xHxW tensors): the scene's linear light, and what the blur makes of it.
-            T: the curves at z where they are not this medium's own, as under lamps.
+            J, soft (Bx3xHxW tensors): linear light of the scene, and its blur.
+            T: curves at z that stand for the medium's, as under lamps.
         """
         if T is not None:
             arriving = T.image(J, soft)
         else:
             sums = self.sums(exact_at_lens=self._any_at_lens(z))
-            # `mix` goes over the rates, whose number a graph does not know
-            mixes = self.is_spectral and not torch.compiler.is_compiling()
-            arriving = mix(sums, z, J, soft) if mixes else curves(sums, z).image(J, soft)
+            # `mix` loops over the rates, whose number a graph does not know
+            by_mix = self.is_spectral and not torch.compiler.is_compiling()
+            arriving = mix(sums, z, J, soft) if by_mix else curves(sums, z).image(J, soft)
         for term in self.further_terms(z).values():
             arriving = arriving + term
         return arriving
@@ -503,9 +501,9 @@ class Medium:
         return {name: term.expand_as(direct) for name, term in terms.items()}
 
     def further_terms(self, z: Tensor) -> dict[str, Tensor]:
-        """Terms (B or 1, 3, H, W) beside the three, by their names in `uwaug.formation.Terms`: what
-        light the water adds before a point at a distance (Bx1xHxW), m. A new one, such as plankton
-        that glows, goes here.
+        """Terms (B or 1, 3, H, W) beside the three, by their names in `uwaug.formation.Terms`:
+        light that the water adds before a point at distance z (Bx1xHxW), m. A new term, such as
+        plankton that glows, goes here.
         """
         return {}
 
@@ -517,7 +515,7 @@ class Medium:
 
         Returns:
             (B, 3, H, W), or (B, 3, N), or (B, 3). Of surfaces with spectra, a matrix (B, 3, 3, …):
-            what each channel of the picture has of each channel of the scene.
+            the share of each channel of the scene in each channel of the picture.
         """
         return self._curves(z).direct
 
@@ -541,23 +539,25 @@ class Medium:
         return Curves(*(curve.reshape(*curve.shape[:-2], *z.shape) for curve in maps))
 
     def brightened(self, gain: Tensor) -> "Medium":
-        """The medium as seen by a camera that multiplies all light by `gain` (B or 1), each
-        channel's by its own (B or 1, 3), or mixes channels by a matrix (B or 1, 3, 3).
+        """The medium as seen by a camera that multiplies light by `gain`: a number (B or 1), a
+        number for each channel (B or 1, 3), or a matrix that mixes channels (B or 1, 3, 3).
         """
         wide, gain = self.expand(len(gain)), gain.to(self.beta)
-        seen: dict[str, Any] = {}
+        gained: dict[str, Any] = {}
         for name, axes in self.TENSORS.items():
-            light = getattr(wide, name)
+            weights = getattr(wide, name)
             if "C" in axes and gain.ndim == 3:
-                light = as_matrices(light) if "S" in axes else light
-                mixed = gain @ light.reshape(len(light), 3, -1)
-                seen[name] = mixed.reshape(-1, *light.shape[1:])
+                weights = as_matrices(weights) if "S" in axes else weights
+                mixed = gain @ weights.reshape(len(weights), 3, -1)
+                gained[name] = mixed.reshape(-1, *weights.shape[1:])
             elif "C" in axes:
-                seen[name] = gain.reshape(len(gain), -1, *[1] * (light.ndim - 2)) * light
-        return replace(wide, **seen)
+                gained[name] = gain.reshape(len(gain), -1, *[1] * (weights.ndim - 2)) * weights
+        return replace(wide, **gained)
 
     def width(self, z: Tensor, size: tuple[int, int] | None) -> Tensor:
-        """σ(z), px, of distances (B or 1, 1, H, W) in an image of `size`; None: in the law's px."""
+        """σ(z), px, at distances (B or 1, 1, H, W) in an image of (height, width) `size`; without a
+        size, in px of the law's reference size.
+        """
         lengths = self.b_mean.reshape(-1, 1, 1, 1).to(z) * z.clamp(max=FARTHEST)
         width: Tensor = self.point_spread.sigma(lengths, size)
         return width
@@ -571,29 +571,24 @@ class Medium:
 
 
 def _rows(coefficients: Mapping[str, Any]) -> dict[str, Tensor]:
-    """Coefficients by name as tensors of one type and batch."""
+    """Check coefficients by name, and make them tensors of one type: b_mean (B), others (B, 3)."""
     tensors = (v for v in coefficients.values() if isinstance(v, Tensor) and v.is_floating_point())
     dtype = next((tensor.dtype for tensor in tensors), torch.float64)
-    rows = {
-        name: _row(name, value, () if name == "b_mean" else (3,), dtype)
-        for name, value in coefficients.items()
-    }
+    rows: dict[str, Tensor] = {}
+    for name, value in coefficients.items():
+        if not isinstance(value, Tensor):
+            value = torch.as_tensor(value, dtype=dtype, device="cpu")
+        row = value.to(dtype)
+        shape = () if name == "b_mean" else (3,)
+        is_batch = row.ndim == len(shape) + 1
+        if row.shape[is_batch:] != shape:
+            expected = "a number or (B,)" if name == "b_mean" else "(3,) or (B, 3)"
+            raise ValueError(f"{name} must have shape {expected}, got {tuple(row.shape)}")
+        numbers = row.detach()
+        if not bool(((numbers >= 0) & numbers.isfinite()).all()):
+            raise ValueError(f"{name} must be finite and ≥ 0, got {numbers.tolist()}")
+        rows[name] = row if is_batch else row[None]
     batches = {name: len(row) for name, row in rows.items()}
     checks.batches(batches)
     b = max(batches.values())
     return {name: row.expand(b, *row.shape[1:]) for name, row in rows.items()}
-
-
-def _row(name: str, value: Any, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
-    """A coefficient of `shape`, or a batch of them, as (B, *shape); finite and ≥ 0."""
-    if not isinstance(value, Tensor):
-        value = torch.as_tensor(value, dtype=dtype, device="cpu")
-    row: Tensor = value.to(dtype)
-    batched = row.ndim == len(shape) + 1
-    if row.shape[batched:] != shape:
-        expected = "a number or (B,)" if shape == () else "(3,) or (B, 3)"
-        raise ValueError(f"{name} must have shape {expected}, got {tuple(row.shape)}")
-    numbers = row.detach()
-    if not bool(((numbers >= 0) & numbers.isfinite()).all()):
-        raise ValueError(f"{name} must be finite and ≥ 0, got {numbers.tolist()}")
-    return row if batched else row[None]

@@ -13,14 +13,14 @@ from uwaug._support.codec import plain
 from uwaug._support.types import Shape
 
 PAPER_SIZE = 518
-"""px, short side of the paper's pictures."""
+"""Short side of the paper's pictures, px."""
 
 FOCAL_LENGTH = 0.866
-"""Of a picture's width: that of a view 60° wide."""
+"""Focal length of a view 60° wide, as a share of the picture's width."""
 
 LENGTHS = 1e-6, 1e4
-"""Scattering lengths between which a width changes: a power below 1 has an infinite slope at 0, so
-that σ(0) is tiny instead of 0; and at 1e4 all light is gone.
+"""Scattering lengths between which a width changes. A power below 1 has an infinite slope at 0, so
+that σ(0) is tiny instead of 0; at 1e4 all light is gone.
 """
 
 
@@ -45,7 +45,7 @@ class PointSpread:
     """
 
     NUMBERS: ClassVar = ("scale", "exponent")
-    """The attributes that are continuous. Stacks, batches, graphs and files treat all alike."""
+    """Attributes that are continuous. Stacks, batches, graphs and files treat all alike."""
 
     scale: float | Tensor
     exponent: float | Tensor = 1.0
@@ -64,16 +64,16 @@ class PointSpread:
 
     @staticmethod
     def paper(coefficient: float = 0.3) -> "PointSpread":
-        """The paper's law φ = coefficient·b̄ (table 2: .3, figure 7: .8), in px of its pictures,
+        """Law of the paper, φ = coefficient·b̄ (table 2: .3, figure 7: .8), in px of its pictures,
         whose short side is 518 px.
         """
         return PointSpread(coefficient, 1.0, reference_size=PAPER_SIZE)
 
     @staticmethod
     def calibrated(focal_px: float) -> "PointSpread":
-        """Fitted to Monte Carlo light transport with Petzold's measured phase functions and the
-        Henyey–Greenstein function (HG) of mean cosine .924. Use with g = .05, and with μ = .075,
-        which keeps the paper's μ/g.
+        """Law fitted to Monte Carlo light transport with Petzold's measured phase functions and the
+        Henyey–Greenstein function (HG) of mean cosine .924. Use it with g = .05 and μ = .075, which
+        keep the paper's μ/g.
 
         Mean RMSE of direct + forward light over b̄z = .1…5, from
         `python -m benchmarks.accuracy.physics`:
@@ -83,7 +83,7 @@ class PointSpread:
             | one Gaussian, .080·focal_px, .51, g .066 | .0115     | .0108   | .0088 | .0123 |
             | the paper's                              | .037      | .053    | .050  | .046  |
 
-        Its tails need more blurs: about 1.5 times the time of that Gaussian.
+        Its tails need more blurs, which takes about 1.5 times the time of that Gaussian.
 
         Args:
             focal_px: focal length, px of the image at hand; .866·width for a 60° field of view.
@@ -103,7 +103,7 @@ class PointSpread:
     def stack(
         laws: "Sequence[PointSpread]", rows: Sequence[int], dtype: torch.dtype
     ) -> "PointSpread":
-        """One law for several media of `rows` rows each; tensors only where the laws differ."""
+        """Join the laws of media of `rows` rows each; numbers become tensors where laws differ."""
         if len({(law.shape, law.reference_size) for law in laws}) > 1:
             got = sorted(set(map(str, laws)))
             raise ValueError(
@@ -122,22 +122,22 @@ class PointSpread:
         return replace(laws[0], **joined)
 
     def numbers(self) -> dict[str, Any]:
-        """The numbers that are continuous, by name."""
+        """The values of `NUMBERS` by name."""
         return {name: getattr(self, name) for name in self.NUMBERS}
 
     @property
     def has_tensors(self) -> bool:
-        """Whether a number is a tensor, which has one for each medium, or is learned."""
+        """True if a number is a tensor: one for each medium, or one that is learned."""
         return isinstance(self.scale, Tensor) or isinstance(self.exponent, Tensor)
 
     @property
     def requires_grad(self) -> bool:
-        """Whether a number records gradients."""
+        """True if a number records gradients."""
         values = self.numbers().values() if self.has_tensors else ()
         return any(isinstance(value, Tensor) and value.requires_grad for value in values)
 
     def rows(self, count: int, like: Tensor) -> dict[str, Tensor]:
-        """The numbers as tensors of `count` rows, by name."""
+        """The numbers by name, as tensors (count,) of the type and device of `like`."""
         return {
             name: (x.to(like) if isinstance(x, Tensor) else like.new_tensor(x)).expand(count)
             for name, x in self.numbers().items()
@@ -152,13 +152,13 @@ class PointSpread:
                 raise ValueError(f"PointSpread.{name} must have shape {expected}, got {got}")
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "PointSpread":
-        """The law with `function` applied to its tensors."""
+        """Apply a function to the tensors of the law."""
         tensors = {n: value for n, value in self.numbers().items() if isinstance(value, Tensor)}
         changed: dict[str, Any] = {name: function(value) for name, value in tensors.items()}
         return replace(self, **changed) if changed else self
 
     def sigma(self, lengths: Any, size: tuple[int, int] | None) -> Any:
-        """σ, px, as tensor or array.
+        """Widths σ, px, as a tensor or an array.
 
         Args:
             lengths (BxC'xHxW tensor; of a law of plain numbers also an array of any shape):
@@ -175,12 +175,12 @@ class PointSpread:
     def __str__(self) -> str:
         if not isinstance(self.scale, Tensor) and self.scale == 0:
             return "no blur"
-        shown = [
+        scale, exponent = (
             "learned" if isinstance(value, Tensor) else f"{value:.3g}"
             for value in (self.scale, self.exponent)
-        ]
+        )
         at = "" if self.reference_size is None else f" at {self.reference_size:g} px short side"
-        return f"{self.shape} σ = {shown[0]}·(b̄ z)^{shown[1]} px{at}"
+        return f"{self.shape} σ = {scale}·(b̄ z)^{exponent} px{at}"
 
 
 def width_at(lengths: Any, scale: float | Tensor, exponent: float | Tensor) -> Any:
@@ -201,14 +201,14 @@ def _require_values(name: str, value: Tensor, low: float, high: float) -> None:
     tracing = torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
     unknown = value.is_meta or torch.compiler.is_compiling() or tracing
     if not value.is_leaf or unknown:
-        return  # computed from parameters; or values are not known yet
+        return  # computed from parameters, or without values yet
     numbers = value.detach()
     if not bool(((numbers >= low) & (numbers <= high) & numbers.isfinite()).all()):
         raise ValueError(f"{name} must be {checks.bounds(low, high)}, got {numbers.tolist()}")
 
 
 def pixel_scale(reference_size: float | None, size: tuple[int, int] | None) -> float | Tensor:
-    """Px of an image of (height, width) `size` per px of one whose short side is the reference."""
+    """Pixels of an image of (height, width) `size` per pixel at the reference size."""
     if reference_size is None or size is None:
         return 1.0
     if isinstance(size[0], torch.SymInt):  # type: ignore[unreachable]

@@ -10,26 +10,28 @@ from uwaug._support.types import Array
 from uwaug.optics.curves import FARTHEST
 
 Reduced = tuple[Array, Array, float]
-"""The rates (K), ascending; the weights (C, K); the largest error."""
+"""Rates (K), ascending; weights (C, K); the largest error."""
 
-_FIRST_RATES, _MOST_RATES = 4, 12
-"""Rates tried first, and at all. At a tolerance of .002 the ten types need 2 to 4, and each of them
-costs time before it is known whether it will be asked for.
+_FIRST_RATES, _MAX_RATES = 4, 12
+"""Largest numbers of rates that are tried first and at all. At a tolerance of .002 the ten types
+need 2 to 4. Each takes time before it is known whether it is needed.
 """
 
-_STEPS = np.linspace(0, 1, 96)
-"""Of the logarithm of distance, 20 a decade: between them the error is as claimed to 1 %."""
-
-_BEGUN, _ENDED = 0.01, 10.0
-"""Optical depths of the fastest and of the slowest rate, between which distances are sampled:
-nearer, all curves are straight, and farther, they have ended.
+_LOG_STEPS = np.linspace(0, 1, 96)
+"""Sampled places in the logarithm of distance, 20 a decade. Between them the error is as claimed,
+within 1 %.
 """
 
-_NEAREST = 1e-12
-"""m."""
+_STRAIGHT_DEPTH, _FADED_DEPTH = 0.01, 10.0
+"""Optical depths between which distances are sampled: of the fastest rate, below which all curves
+are straight, and of the slowest, above which they have faded.
+"""
 
-_LEAST = 1e-300
-"""Stands for 0 under a logarithm and a fraction."""
+_NEAREST_M = 1e-12
+"""Smallest distance that is sampled, beside 0."""
+
+_TINY = 1e-300
+"""Stands for 0 under a logarithm and below a fraction."""
 
 
 def reduce_rates(rates: Array, weights: Array, tolerance: float) -> Reduced:
@@ -39,20 +41,20 @@ def reduce_rates(rates: Array, weights: Array, tolerance: float) -> Reduced:
     The rates are the nodes of the Gauss quadrature (Golub & Welsch 1969) of all measures taken
     together, on the logarithm of the rates, as distances spread over decades. (On the rates
     themselves, 90 media of the ten types need 693 rates where these need 499.) The weights fit each
-    curve by least squares over the logarithm of distance, exact at z = 0; those of a curve without
-    negative weights are not negative either.
+    curve by least squares over the logarithm of distance, exact at z = 0. A curve without negative
+    weights gets none.
 
     Args:
         rates (M): rate of each band.
-        weights (C, M): of the C curves Σ_m weight_cm e^(−rate_m z).
+        weights (C, M): weights of the C curves Σ_m weight_cm e^(−rate_m z).
         tolerance: largest error of any curve; 0 keeps every band.
     """
     if tolerance == 0:
         return rates, weights, 0.0
-    # rates of any size: what overflows has decayed, and what is invalid keeps no tolerance
+    # of rates that are huge: an overflow has decayed, and an invalid number keeps no tolerance
     with np.errstate(over="ignore", invalid="ignore"):
         z = distances_of(rates)
-        # here, as NumPy's exp takes a third of the time of numba's
+        # not in the compiled function, as NumPy's exp takes a third of the time of numba's
         exact = weights @ np.exp(-rates[:, None] * z)  # (C, N)
         return _reduced(rates, weights, z, exact, tolerance)
 
@@ -60,55 +62,55 @@ def reduce_rates(rates: Array, weights: Array, tolerance: float) -> Reduced:
 @compiled
 def _reduced(rates: Array, weights: Array, z: Array, exact: Array, tolerance: float) -> Reduced:
     sizes = np.abs(weights)
-    totals = np.maximum(sizes.sum(1), _LEAST)
-    if totals.max() == _LEAST:  # no light so deep
+    totals = np.maximum(sizes.sum(1), _TINY)
+    if totals.max() == _TINY:  # no light so deep
         return rates[:1].copy(), weights[:, :1].copy(), 0.0
     shares = (sizes / totals[:, None]).sum(0)
     positive = (weights < 0).sum(1) == 0
-    logs = np.log(np.maximum(rates, _LEAST))
-    tried = 1
-    for most in (_FIRST_RATES, _MOST_RATES):
-        jacobi = _jacobi(logs, shares, most)
-        for count in range(min(tried + 1, len(jacobi)), len(jacobi) + 1):
+    logs = np.log(np.maximum(rates, _TINY))
+    last_count = 1
+    for max_rates in (_FIRST_RATES, _MAX_RATES):
+        jacobi = _jacobi(logs, shares, max_rates)
+        for count in range(min(last_count + 1, len(jacobi)), len(jacobi) + 1):
             fit = _fit(jacobi, count, z, exact, positive, tolerance)
             if fit[2] <= tolerance:
                 if count > 2:
                     return fit
                 # one rate seldom serves, and never where two do not
-                alone = _fit(jacobi, 1, z, exact, positive, tolerance)
-                return alone if alone[2] <= tolerance else fit
-        tried = len(jacobi)
+                single = _fit(jacobi, 1, z, exact, positive, tolerance)
+                return single if single[2] <= tolerance else fit
+        last_count = len(jacobi)
     return rates, weights, 0.0  # every band is a rate: slow, and exact
 
 
 def distances_of(rates: Array) -> Array:
-    """0, then logarithmic steps in which the curves of these rates bend."""
-    near = min(max(_BEGUN / max(float(rates.max()), _LEAST), _NEAREST), FARTHEST)
-    far = min(_ENDED / max(float(rates.min()), _LEAST), FARTHEST)
-    return np.concatenate((np.zeros(1), near * (far / near) ** _STEPS))
+    """Distances, m: 0, then logarithmic steps over which the curves of these rates bend."""
+    near = min(max(_STRAIGHT_DEPTH / max(float(rates.max()), _TINY), _NEAREST_M), FARTHEST)
+    far = min(_FADED_DEPTH / max(float(rates.min()), _TINY), FARTHEST)
+    return np.concatenate((np.zeros(1), near * (far / near) ** _LOG_STEPS))
 
 
 @compiled
-def _jacobi(points: Array, weights: Array, most: int) -> Array:
+def _jacobi(points: Array, weights: Array, max_size: int) -> Array:
     """Jacobi matrix of a discrete measure, below the diagonal: the nodes of the k-point Gauss rule
     are the eigenvalues of its leading k×k block.
 
-    Lanczos' recurrence, orthogonalised against all that came before: a step takes a tenth of the
-    time of QR factors of Chebyshev polynomials, which give twelve at once.
+    This is Lanczos' recurrence, orthogonalised against all vectors before: a step takes a tenth of
+    the time of QR factors of Chebyshev polynomials, which give twelve at once.
     """
-    matrix = np.zeros((most, most))
-    vectors = np.empty((most, len(points)))
+    matrix = np.zeros((max_size, max_size))
+    vectors = np.empty((max_size, len(points)))
     vectors[0] = np.sqrt(weights / weights.sum())
-    for k in range(most):
-        moved = points * vectors[k]
-        along = vectors[: k + 1] @ moved
-        matrix[k, k] = along[k]
-        moved -= along @ vectors[: k + 1]
-        norm = math.sqrt(moved @ moved)
-        if k + 1 == most or norm < 1e-9:  # as many nodes as there are different points
+    for k in range(max_size):
+        residual = points * vectors[k]
+        components = vectors[: k + 1] @ residual
+        matrix[k, k] = components[k]
+        residual -= components @ vectors[: k + 1]
+        norm = math.sqrt(residual @ residual)
+        if k + 1 == max_size or norm < 1e-9:  # as many nodes as there are different points
             return matrix[: k + 1, : k + 1].copy()
         matrix[k + 1, k] = norm
-        vectors[k + 1] = moved / norm
+        vectors[k + 1] = residual / norm
     return matrix
 
 
@@ -121,13 +123,13 @@ def _fit(
     positive: NDArray[np.bool_],
     tolerance: float,
 ) -> Reduced:
-    """Rates (K), weights (C, K) and error of `count` rates; the error of curves with weights of
-    any sign where that is beyond the tolerance. `positive`: which curves have no negative weights.
+    """Rates (K), weights (C, K) and error of a fit by `count` rates. `positive` marks curves that
+    get no negative weights; an error beyond the tolerance is that of weights of any sign.
     """
     nodes = np.exp(np.linalg.eigvalsh(jacobi[:count, :count].copy()))
     basis = np.exp(-nodes[:, None] * z)
-    # the normal equations, bordered by the condition that the weights keep their sum, the value
-    # at z = 0. They hold down to a tolerance of 1e-6, and take half as long as QR factors
+    # normal equations, bordered by the condition that the weights keep their sum, the value at
+    # z = 0. They hold down to a tolerance of 1e-6, and take half as long as QR factors
     system = np.ones((count + 1, count + 1))
     system[:count, :count] = basis @ basis.T
     system[count, count] = 0
@@ -143,20 +145,20 @@ def _fit(
                 if positive[row] and weights[row].min() < 0:
                     weights[row] = _positive(system, right[:, row].copy(), weights[row])
                     error = max(error, np.abs(weights[row] @ basis - exact[row]).max())
-    except Exception:  # two rates that no distance tells apart; of its kind numba knows no more
+    except Exception:  # two rates that no distance tells apart; numba knows no narrower class
         return nodes, weights, math.inf
     return nodes, weights, error
 
 
 @compiled
 def _positive(system: Array, right: Array, weights: Array) -> Array:
-    """Weights (K) ≥ 0 of a curve: strikes out the most negative, refits the rest."""
-    kept = np.ones(len(right))
+    """Weights (K) ≥ 0 of a curve: sets the most negative weight to 0 and fits the rest again."""
+    mask = np.ones(len(right))
     while weights.min() < 0:
-        kept[weights.argmin()] = 0
-        # a struck weight's equation says that it is 0
-        struck = system * kept[:, None] * kept
-        for i in range(len(kept)):
-            struck[i, i] += 1 - kept[i]
-        weights = np.linalg.solve(struck, right * kept)[: len(weights)] * kept[: len(weights)]
+        mask[weights.argmin()] = 0
+        # the equation of a masked weight says that it is 0
+        masked = system * mask[:, None] * mask
+        for i in range(len(mask)):
+            masked[i, i] += 1 - mask[i]
+        weights = np.linalg.solve(masked, right * mask)[: len(weights)] * mask[: len(weights)]
     return weights

@@ -1,4 +1,4 @@
-"""The constants of scattering, which go together."""
+"""Constants of scattering that go together."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -6,8 +6,8 @@ from typing import ClassVar
 
 @dataclass(frozen=True)
 class Scattering:
-    """How scattered light is shared out: what a picture does not tell, and whoever makes or fits
-    one has to agree on.
+    """Shares of the scattered light. A picture does not tell them, so that whoever makes pictures
+    and whoever fits them have to agree.
 
     Attributes:
         g: share of the scattered light that leaves the line of sight, 0…1.
@@ -18,13 +18,13 @@ class Scattering:
     mu: float
 
     CALIBRATED: ClassVar["Scattering"]
-    """Goes with `PointSpread.calibrated`, for a subject that fills the view; μ keeps the paper's
-    μ/g, so that the veil stays below a white plate. What `uwaug.RandomUnderwater` and
-    `uwaug.fitting.fit_water` take.
+    """Constants for `PointSpread.calibrated` and a subject that fills the view, as in
+    `uwaug.RandomUnderwater` and `uwaug.fitting.fit_water`. μ keeps the paper's μ/g, so that the
+    veil stays below a white plate.
     """
 
     PAPER: ClassVar["Scattering"]
-    """Goes with `PointSpread.paper`. What `uwaug.Medium.from_water` takes."""
+    """Constants for `PointSpread.paper`, as in `uwaug.Medium.from_water`."""
 
 
 Scattering.CALIBRATED = Scattering(g=0.05, mu=0.075)

@@ -1,4 +1,4 @@
-"""Arrays over wavelength, checked, with value semantics."""
+"""Arrays over wavelength: checked, read from files, with value semantics."""
 
 import csv
 import re
@@ -14,12 +14,12 @@ from uwaug._support.atomic import require_regular
 from uwaug._support.types import Array
 
 WAVELENGTHS = np.arange(400.0, 701.0, 5.0)
-"""nm, the 61 bands that stand for the integral."""
+"""The 61 bands, nm, that stand for an integral over wavelength."""
 
 
 @lru_cache(maxsize=16)
 def bands_between(low: float, high: float) -> Array:
-    """Those of `WAVELENGTHS` that lie between two, nm."""
+    """Bands of `WAVELENGTHS` between two wavelengths, nm."""
     bands: Array = WAVELENGTHS[(low <= WAVELENGTHS) & (high >= WAVELENGTHS)]
     bands.flags.writeable = False
     return bands
@@ -38,7 +38,7 @@ class Spectra:
         return all(np.array_equal(mine, theirs) for mine, theirs in pairs)
 
     def __hash__(self) -> int:
-        return hash((self.name, self.wavelengths.size))  # of all of it, it takes 10 µs
+        return hash((self.name, self.wavelengths.size))  # a hash of the arrays takes 10 µs
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
         # rebuilt by the constructor, because unpickled arrays are writable
@@ -60,7 +60,7 @@ def _frozen_array(name: str, values: ArrayLike) -> Array:
 
 
 def wavelength_axis(values: ArrayLike) -> Array:
-    """A read-only, strictly ascending wavelength axis in nm.
+    """Check a wavelength axis, nm, and make it a read-only array.
 
     Raises:
         TypeError: if the values are no numbers.
@@ -88,7 +88,7 @@ def wavelength_axis(values: ArrayLike) -> Array:
 
 
 def spectrum(name: str, values: ArrayLike, axis: Array, channels: tuple[int, ...] = ()) -> Array:
-    """A read-only spectrum ≥ 0 on a wavelength axis (N), of shape (N, *channels).
+    """Check a spectrum ≥ 0 on a wavelength axis (N), and make it a read-only array (N, *channels).
 
     Raises:
         TypeError: if the values are no numbers.
@@ -100,43 +100,44 @@ def spectrum(name: str, values: ArrayLike, axis: Array, channels: tuple[int, ...
         raise ValueError(
             f"{name} must have one row per wavelength, shape {expected}, got {array.shape}"
         )
-    unknown = ~np.isfinite(array)
-    _refuse(name, unknown, axis, "NaN or infinite", "fill them or leave these wavelengths out")
+    nonfinite = ~np.isfinite(array)
+    _refuse(name, nonfinite, axis, "NaN or infinite", "fill them or leave these wavelengths out")
     _refuse(name, array < 0, axis, "negative", "set measurement noise to 0")
     return array
 
 
-def _refuse(name: str, bad: NDArray[np.bool_], axis: Array, what: str, cure: str) -> None:
+def _refuse(name: str, bad: NDArray[np.bool_], axis: Array, fault: str, cure: str) -> None:
     if not bad.any():
         return
     nm = axis[bad.reshape(axis.size, -1).any(axis=1)]
-    where = ", ".join(f"{at:g}" for at in nm[:8]) + (", …" if nm.size > 8 else "")
-    raise ValueError(f"{name} has {bad.sum()} {what} of {bad.size} values, at {where} nm: {cure}")
+    places = ", ".join(f"{at:g}" for at in nm[:8]) + (", …" if nm.size > 8 else "")
+    raise ValueError(f"{name} has {bad.sum()} {fault} of {bad.size} values, at {places} nm: {cure}")
 
 
 _NO_LETTER = re.compile(r"[\W\d]")
 
 
 def read_spectra(path: Path, spectra: Mapping[str, str]) -> Array:
-    """The table (N, 1 + spectra) of a CSV file: wavelengths, then spectra, with or without one
+    """Read the table (N, 1 + spectra) of a CSV file: wavelengths, then spectra, with or without one
     header line.
 
     Args:
-        path: of the file.
-        spectra: their names, and a word that may stand for each. With one of both the cells of a
-            header begin, in small letters or capitals: "b [1/m]" and "scattering", while "beta"
-            and "bb" are something else.
+        path: path of the file.
+        spectra: name of each spectrum, and a word that may stand for it. The cells of a header
+            begin with one of both, in any case: "b [1/m]" and "scattering", while "beta" and "bb"
+            are something else.
 
     Raises:
         ValueError: if it is no such table; the message names the line.
         OSError: if the file cannot be read.
     """
     require_regular(path)
-    named, table = ", ".join(["wavelength", *spectra]), []
+    table: list[list[float]] = []
+    names = ", ".join(["wavelength", *spectra])
     columns = 1 + len(spectra)
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
         reader = csv.reader(file)
-        header = True
+        is_first = True
         try:
             for row in reader:
                 if not any(cell.strip() for cell in row):
@@ -147,25 +148,23 @@ def read_spectra(path: Path, spectra: Mapping[str, str]) -> Array:
                     numbers = []
                 if len(numbers) == columns:
                     table.append(numbers)
-                elif not (header and len(row) == columns and _named(row[1:], spectra)):
-                    # what it says instead is not shown: a preset of somebody else may name a file
-                    # that is none of theirs
-                    where = f"{path}, line {reader.line_num}"
+                elif not (is_first and len(row) == columns and _is_header(row[1:], spectra)):
+                    # the row is not shown: a preset of somebody else may name a private file
                     count = {3: "three", 4: "four"}[columns]
                     raise ValueError(
-                        f"{where}: expected {count} numbers, {named}, separated by commas, "
-                        "below a header with these names or none"
+                        f"{path}, line {reader.line_num}: expected {count} numbers, {names}, "
+                        "separated by commas, below a header with these names or none"
                     )
-                header = False
+                is_first = False
         except csv.Error as error:
             raise ValueError(f"{path}, line {reader.line_num}: {error}") from None
     if not table:
-        raise ValueError(f"{path}: no rows of {named}")
+        raise ValueError(f"{path}: no rows of {names}")
     return np.array(table)
 
 
-def _named(cells: Sequence[str], spectra: Mapping[str, str]) -> bool:
-    """Whether each cell of a header begins with the name of its spectrum, or its other word."""
+def _is_header(cells: Sequence[str], spectra: Mapping[str, str]) -> bool:
+    """True if each cell begins with the name of its spectrum, or the word that stands for it."""
     words = [_NO_LETTER.split(cell.strip().lower(), 1)[0] for cell in cells]
     pairs = zip(words, spectra.items(), strict=True)
     return all(word in (name.lower(), other) for word, (name, other) in pairs)

@@ -22,14 +22,14 @@ from torch import Tensor
 from uwaug._support.types import Array
 
 Surfaces = Literal["grey", "spectral"]
-"""What a channel of the picture depends on: "grey", on that channel of the scene alone, which is
-right for grey surfaces; "spectral", on all three, as surfaces have spectra.
+"""Channels of the scene that a channel of the picture depends on: with "grey" that channel alone,
+which is right for grey surfaces; with "spectral" all three, as surfaces have spectra.
 """
 
 _UNIT = np.eye(3)
 
-_SINGULAR = 1e3
-"""Condition number of M from which on the three channels see the same. Of usual cameras it is 3."""
+_MAX_CONDITION = 1e3
+"""Condition number of M above which the three channels see the same. Of usual cameras it is 3."""
 
 
 @lru_cache(maxsize=16)
@@ -42,67 +42,65 @@ def reflectances(axis: bytes) -> Array:
 
 @cache
 def _table() -> Array:
-    """Wavelengths of 380…780 nm and the three reflectances there (81, 4), as packaged by
-    colour-science.
-    """
+    """Wavelengths, 380…780 nm, and the reflectances (81, 4), as packaged by colour-science."""
     file = Path(__file__).parent / "reflectances" / "mallett-yuksel-2019.csv"
     return np.loadtxt(file, delimiter=",", skiprows=1)
 
 
 def through_camera(
-    sensor: Array, basis: Array, share: float = 1.0, own: Array | None = None
+    sensor: Array, basis: Array, share: float = 1.0, camera_matrix: Array | None = None
 ) -> tuple[Array, Array]:
-    """The response (3, N) of a camera with its colour matrix C, and the reflectances (3, N) of the
-    surfaces that it shows in air as R, G and B: (C·M)⁻¹ makes them of the basis. With C = M⁻¹ they
-    are the basis itself; with less of it, those of purer colours.
+    """Response (3, N) of a camera with its colour matrix C, and reflectances (3, N) of the surfaces
+    that it shows in air as R, G and B: (C·M)⁻¹ makes them of the basis. With C = M⁻¹ they are the
+    basis; with less of it they have purer colours.
 
     Args:
         sensor (3xN array): response of the camera; rows sum to 1.
         basis (3xN array): from `reflectances`, at the same wavelengths.
-        share: of the camera's matrix, 0…1: C = 1 + share·(matrix − 1).
-        own (3x3 array): the camera's matrix; None for M⁻¹.
+        share: share of the camera's matrix, 0…1: C = 1 + share·(camera_matrix − 1).
+        camera_matrix (3x3 array): None for M⁻¹.
 
     Raises:
         ValueError: if the channels cannot tell three colours apart.
     """
-    seen = sensor @ basis.T
-    full = _inverse(seen.tobytes()) if own is None else own
+    M = sensor @ basis.T
+    full = _inverse(M.tobytes()) if camera_matrix is None else camera_matrix
     matrix = _UNIT + share * (full - _UNIT)
-    return matrix @ sensor, np.linalg.inv(matrix @ seen).T @ basis
+    return matrix @ sensor, np.linalg.inv(matrix @ M).T @ basis
 
 
 @lru_cache(maxsize=16)
 def _inverse(matrix: bytes) -> Array:
-    """M⁻¹ (3, 3); refuses an M that has none."""
-    seen = np.frombuffer(matrix).reshape(3, 3)
-    if np.linalg.cond(seen) > _SINGULAR:
+    """M⁻¹ (3, 3), of M given as the bytes of its array; refuses an M that has none."""
+    M = np.frombuffer(matrix).reshape(3, 3)
+    if np.linalg.cond(M) > _MAX_CONDITION:
         cure = "give a camera and wavelengths that cover 400–700 nm, or surfaces='grey'"
         raise ValueError(f"camera: its channels cannot tell three colours apart: {cure}")
-    return np.asarray(np.linalg.inv(seen))
+    return np.asarray(np.linalg.inv(M))
 
 
 def measure(response: Array, basis: Array | None) -> Array:
-    """What of each wavelength reaches the channels: S_c (3, N) of grey surfaces, S_c·ρ_j (9, N) of
-    those with spectra.
+    """Light of each wavelength that reaches the channels: S_c (3, N) of grey surfaces, S_c·ρ_j
+    (9, N) of surfaces with spectra.
     """
     return response if basis is None else (response[:, None] * basis).reshape(9, -1)
 
 
 def row_of(values: Array) -> Tensor:
-    """Rates (K) as a tensor (1, K), weights (3, K) as (1, 3, K), weights (9, K) as (1, 3, 3, K); on
-    the CPU, whatever torch's default device, and of the same memory.
+    """Rates (K) as a tensor (1, K), weights (3, K) as (1, 3, K), weights (9, K) as (1, 3, 3, K), on
+    the CPU whatever torch's default device. The tensor shares the array's memory.
     """
     shape = (3, 3, -1) if values.ndim == 2 and len(values) == 9 else values.shape
     return torch.from_numpy(values.reshape(1, *shape))  # a tenth of the time of torch.tensor
 
 
 def white(weights: Tensor) -> Tensor:
-    """What a white surface shows of weights (Bx3xK or Bx3x3xK): Bx3xK."""
+    """Weights (Bx3xK) of a white surface, from those of channels (Bx3xK) or matrices (Bx3x3xK)."""
     return weights if weights.ndim == 3 else weights.sum(2)
 
 
 def as_matrices(weights: Tensor) -> Tensor:
-    """Weights (Bx3xK) as those of diagonal matrices (Bx3x3xK); matrices stay as they are."""
+    """Weights of channels (Bx3xK) as diagonal matrices (Bx3x3xK); matrices stay as they are."""
     if weights.ndim == 4:
         return weights
     unit = torch.eye(3, dtype=weights.dtype, device=weights.device)

@@ -1,5 +1,5 @@
-"""Water: absorption, scattering and diffuse attenuation as functions of wavelength; how far one
-sees through it, and how much of what is in it that takes.
+"""Water: absorption, scattering and diffuse attenuation by wavelength; visibility and contrast, and
+contents scaled to reach them.
 """
 
 import math
@@ -39,38 +39,36 @@ CONTRAST_THRESHOLD = 0.02
 """The contrast at which an object is no longer seen (Koschmieder 1924)."""
 
 _VISIBLE_NM = (400.0, 700.0)
-"""nm."""
-
 _BIO_OPTICAL = (
     "a, b, K_d: bio-optical model of Bricaud et al. 1998, Loisel & Morel 1998, Haltrin 1999, Babin "
     "et al. 2003 and Kirk 1984"
 )
 
 LEAST_LOSS = 0.85
-"""K_d may be so much of a: what is absorbed is lost on the way down, and measured tables of two
-sources differ by .12 (type IB at 450 nm).
+"""Smallest K_d as a share of a: light that is absorbed is lost on the way down. It is below 1, as
+measured tables of two sources differ by .12 (type IB at 450 nm).
 """
 
-_KD_ROUNDING = 1e-9
+_LOSS_ROUNDING = 1e-9
 
 _EYE_NODES = 301
-"""Wavelengths for the eye, 1 nm apart on a full range. The 61 bands of a medium would put the
-visibility of type I 7e-4 off.
+"""Number of wavelengths for the eye, 1 nm apart on a full range. With the 61 bands of a medium the
+visibility of type I would be 7e-4 off.
 """
 
 
 @plain
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Water(Spectra):
-    """A water: the spectra that decide what it does to light. Immutable; equality goes by content.
+    """The spectra of a water. Immutable; equality goes by content.
 
     Args:
         wavelengths (N array): wavelengths [nm], strictly ascending, N ≥ 1.
         a (N array): absorption coefficient a(λ) ≥ 0 [1/m].
         b (N array): scattering coefficient b(λ) ≥ 0 [1/m].
         kd (N array): diffuse attenuation coefficient of downwelling irradiance K_d(λ) ≥ 0 [1/m].
-        name: what to call it.
-        provenance: where the figures come from, one short statement each.
+        name: shown in messages and notes.
+        provenance: sources of the figures, a short statement each.
 
     Attributes are the arguments, the arrays as read-only float64 copies. Between its wavelengths a
     water is linear.
@@ -116,12 +114,12 @@ class Water(Spectra):
             name=name,
             provenance=tuple(provenance),
         )
-        below = self.kd < (LEAST_LOSS - _KD_ROUNDING) * self.a
-        if below.any():
-            where = ", ".join(f"{nm:g}" for nm in axis[below][:8])
+        low = self.kd < (LEAST_LOSS - _LOSS_ROUNDING) * self.a
+        if low.any():
+            places = ", ".join(f"{nm:g}" for nm in axis[low][:8])
             raise ValueError(
                 f"kd must be a at least, as what is absorbed is lost on the way down; it is less "
-                f"at {where} nm"
+                f"at {places} nm"
             )
 
     @property
@@ -134,7 +132,7 @@ class Water(Spectra):
         """One of the ten Jerlov water types.
 
         Args:
-            type: one of ``JERLOV_TYPES``, in any case; in Jerlov's order, not that of visibility.
+            type: one of ``JERLOV_TYPES``, in any case.
             source: ``"solonenko2015"``, a, b and K_d of all ten types at 300–700 nm; its misprinted
                 rows (3C at 675 and 700 nm, 5C at 600–700 nm) take a from Williamson & Hollins 2022,
                 b from the paper's own scattering model and K_d from Jerlov 1976.
@@ -142,8 +140,7 @@ class Water(Spectra):
                 Jerlov 1976.
 
         Returns:
-            The water; ``provenance`` says for each quantity, and wavelengths that differ, where the
-            values are from.
+            The water; its ``provenance`` names the source of each quantity.
 
         Raises:
             ValueError: if the type or the source is unknown, or the source lacks the type.
@@ -162,20 +159,19 @@ class Water(Spectra):
             'Jerlov 5C: a at 600–700 nm: Williamson & Hollins 2022'
         """
         type = type.upper() if str(type).upper() in JERLOV_TYPES else type
-        table = repaired_table(type, source)
-        return cls(table.wavelengths, **table.spectra, name=type, provenance=table.provenance)
+        wavelengths, spectra, provenance = repaired_table(type, source)
+        return cls(wavelengths, **spectra, name=type, provenance=provenance)
 
     @classmethod
     def from_constituents(cls, *, name: str | None = None, **contents: float) -> Self:
         """A water with these contents, at 400–700 nm: greens and browns that no Jerlov type has.
 
-        A bio-optical model of the literature; `uwaug/optics/constituents.py` has its equations and
-        sources, and how near it comes to the Jerlov types.
+        It is a bio-optical model of the literature. `uwaug/optics/constituents.py` has equations,
+        sources and errors.
 
         Args:
-            name: what to call it; None for the contents, as `load_water` reads them.
-            contents: how much of each is in it, by the names of `constituents.UNITS`, up to 1e4;
-                what is missing is 0.
+            name: shown in messages and notes; None for the contents, as `load_water` reads them.
+            contents: amounts by the names of `constituents.UNITS`, up to 1e4; those missing are 0.
                 chlorophyll, of phytoplankton, mg/m³: .03 to .5 in the open ocean, 1 to 10 at
                 coasts, up to 100 in lakes.
                 cdom, absorption of coloured dissolved organic matter at 440 nm, 1/m: .01 in the
@@ -197,13 +193,13 @@ class Water(Spectra):
 
     @classmethod
     def of_amounts(cls, amounts: Mapping[str, float], name: str | None = None) -> Self:
-        """As `from_constituents`, of amounts of all contents that are known to be good."""
+        """As `from_constituents`, of the amounts of all contents; nothing is checked."""
         name = Constituents(**amounts).name if name is None else name
         water = object.__new__(cls)
         return water._derived(WAVELENGTHS, optical_properties(amounts), name, (_BIO_OPTICAL,))
 
     def at(self, wavelengths: ArrayLike) -> Self:
-        """This water on other wavelengths, by linear interpolation.
+        """The same water on other wavelengths, by linear interpolation.
 
         Args:
             wavelengths (M array): wavelengths [nm], strictly ascending, inside the range of this
@@ -223,15 +219,14 @@ class Water(Spectra):
         return self._derived(axis, self._table(axis), self.name, self.provenance)
 
     def mix(self, other: "Water", t: float) -> Self:
-        """The mixture (1 − t)·self + t·other, linear in a, b and K_d: a continuous slider between
-        two waters.
+        """The mixture (1 − t)·self + t·other, linear in a, b and K_d.
 
-        It lives on the wavelengths of both, in the range that both cover, with both provenances. A
-        water mixed with itself is itself.
+        It has the wavelengths of both waters, in the range that both cover, and both provenances.
+        A water mixed with itself is itself.
 
         Args:
             other: the water to mix in.
-            t: its share, in [0, 1].
+            t: share of the other water, 0…1.
 
         Raises:
             TypeError: if ``other`` is no ``Water``.
@@ -259,11 +254,10 @@ class Water(Spectra):
     def visibility(self) -> float:
         """Horizontal visibility V [m]: the distance at which contrast falls to 2 %.
 
-        Contrast is that of luminance, what a diver sees: ∫ ȳ e^(−β V) dλ / ∫ ȳ dλ = 0.02 with the
-        CIE 1931 observer ȳ over 400–700 nm, or what this water covers of it. A grey water has
-        V = −ln 0.02 / β. The best transmitted wavelength alone promises 179 m in type I; a β
-        averaged over the eye says 35 m, as if red, long gone, still took its share. Luminance gives
-        78 m, near the clearest water on record.
+        Contrast is that of luminance: ∫ ȳ e^(−β V) dλ / ∫ ȳ dλ = 0.02 with the CIE 1931 observer ȳ
+        over 400–700 nm, or the part of it that this water covers. A grey water has
+        V = −ln 0.02 / β. Type I has 78 m, near the clearest water on record, where its best
+        transmitted wavelength alone has 179 m.
 
         Returns:
             The visibility, inf where nothing is attenuated.
@@ -284,14 +278,13 @@ class Water(Spectra):
         return self.metres_for(CONTRAST_THRESHOLD)
 
     def contrast(self, metres: float) -> float:
-        """The share of its luminance contrast that an object at this distance [m] keeps, 0…1: the
-        ∫ ȳ e^(−β z) dλ of ``visibility()``, which is the distance where it is 2 %.
+        """Share of its luminance contrast that an object at this distance [m] keeps, 0…1: the
+        ∫ ȳ e^(−β z) dλ of ``visibility()``, the distance where it is 2 %.
 
-        That is contrast with the open water behind the object, as a Secchi disc shows it, and a
-        number of the water alone. ``uwaug.contrast_left`` is that of patterns on an object: the
-        veil before it takes some, and light scattered forward counts as the object's, so that it
-        depends on the depth and on g and μ. Where this is .5, that is .38 to .39 with g = .2 and μ
-        = .3, and .54 to .56 with g = .05 and μ = .075 (types 1C, 7C and II, 3 m).
+        It is the contrast with the open water behind the object, as of a Secchi disc, and depends
+        on the water alone. ``uwaug.contrast_left``, of patterns on an object, depends on depth, g
+        and μ as well: where this is .5, that is .38 to .39 with g = .2 and μ = .3, and .54 to .56
+        with g = .05 and μ = .075 (types 1C, 7C and II, 3 m).
 
         Raises:
             TypeError, ValueError: if the distance is no number, negative or infinite; or as
@@ -305,31 +298,30 @@ class Water(Spectra):
         return self._luminance(self.beta, metres)
 
     def metres_for(self, contrast: float) -> float:
-        """The distance [m] at which an object keeps this share of its luminance contrast, the
-        inverse of ``contrast(metres)``; inf where nothing is attenuated.
+        """Distance [m] at which an object keeps this share of its luminance contrast; inf where
+        nothing is attenuated. The inverse of ``contrast(metres)``.
 
         Raises:
             ValueError: if the share does not lie above 0 and up to 1.
         """
         checks.positive("contrast", contrast)
         checks.within("contrast", contrast, 0.0, 1.0)
-        return _distance_to(contrast, *self._seen(self.beta))
+        return _distance_to(contrast, *self._at_eye(self.beta))
 
     def with_contrast(self, contrast: float, metres: float) -> Self:
         """The same kind of water with more or less in it, so that an object at a distance of
-        ``metres`` keeps this share of its luminance contrast: a turbidity knob. A share of .02 at
-        4 m is a visibility of 4 m. See ``contrast(metres)``.
+        ``metres`` keeps this share of its luminance contrast. A share of .02 at 4 m is a visibility
+        of 4 m. See ``contrast(metres)``.
 
-        What is dissolved and suspended is scaled by one factor s; pure sea water stays:
+        All that is dissolved and suspended is scaled by one factor s; pure sea water stays:
 
             a = a_w + s (a − a_w),  b = b_w + s (b − b_w),
             K_d = K_w + s (K_d − K_w),  K_w = a_w + b_w / 2.
 
-        Scaling everything would scale pure water with it: type 9C brought to the visibility of 1C
-        would absorb .06/m at 650 nm, a fifth of what pure water does, where this rule gives .345/m
-        and 1C has .344/m. Where a spectrum lies below pure water (noise, or another water table),
-        all of it counts as water. K_d is linear in the contents only to first order, and the hue of
-        the contents stays: to change that, ``mix``.
+        So type 9C brought to the visibility of 1C absorbs .345/m at 650 nm, where 1C has .344/m.
+        Where a spectrum lies below pure water (noise, or another water table), all of it counts as
+        water. K_d is linear in the contents only to first order. The hue of the contents stays: to
+        change it, ``mix``.
 
         Args:
             contrast: the share wanted, above 0, up to that of pure water.
@@ -353,9 +345,9 @@ class Water(Spectra):
         """
         checks.positive("metres", metres)
         fine = self._fine()
-        most = fine._luminance(fine._pure()[:2].sum(0), metres)
-        if contrast > most:
-            allowed = f"the pure water in {self.name!r} allows, {most:.4g}"
+        largest = fine._luminance(fine._pure()[:2].sum(0), metres)
+        if contrast > largest:
+            allowed = f"the pure water in {self.name!r} allows, {largest:.4g}"
             raise ValueError(f"contrast={contrast:g} at {metres:g} m is more than {allowed}")
         name = f"{self.name} with {contrast:g} of the contrast at {metres:g} m"
         factor = self.contents_for(contrast, metres)
@@ -363,33 +355,33 @@ class Water(Spectra):
             nothing = f"there is nothing to scale to a contrast of {contrast:g} at {metres:g} m"
             raise ValueError(f"{self.name!r} is nothing but pure water to the eye: {nothing}")
         provenance = (*self.provenance, f"{name}: all but pure water scaled by {factor:.4g}")
-        return self._with(factor, name, provenance)
+        return self._scaled(factor, name, provenance)
 
     def contents_for(self, contrast: float, metres: float) -> float:
-        """The factor s of ``with_contrast``, on what is in the water besides pure water: 0 where
-        pure water alone leaves no more, infinity where nothing but pure water is there to be
-        scaled, 1 at an infinite distance.
+        """Factor s of ``with_contrast`` on the contents of the water: 0 where pure water alone
+        leaves no more, infinity where nothing but pure water is there to be scaled, 1 at an
+        infinite distance.
         """
         checks.positive("contrast", contrast)
         if math.isinf(metres):
             return 1.0
         fine = self._fine()
         pure = fine._pure()[:2].sum(0)
-        seen = *fine._eye(), fine.wavelengths
-        return _contents_for(contrast, metres, *seen, pure, fine.beta - pure)
+        axes = *fine._eye(), fine.wavelengths
+        return _contents_for(contrast, metres, *axes, pure, fine.beta - pure)
 
     def daylight(self, depth: float) -> float:
-        """The share of the surface's luminance that is left at a vertical depth [m]."""
+        """Share of the surface's luminance that is left at a vertical depth [m]."""
         checks.within("depth", depth, *checks.DOMAIN["vertical_depth"])
         return self._luminance(self.kd, depth)
 
     def depth_of_daylight(self, share: float) -> float:
-        """The vertical depth [m] at which this share of the surface's luminance is left."""
+        """Vertical depth [m] at which this share of the surface's luminance is left."""
         checks.within("share", share, 0.0, 1.0)
-        return _distance_to(share, *self._seen(self.kd))
+        return _distance_to(share, *self._at_eye(self.kd))
 
     def with_contents(self, factor: float) -> Self:
-        """This water with `factor` times what is in it besides pure water, see `with_contrast`."""
+        """The same water with `factor` times its contents, see `with_contrast`."""
         checks.within("factor", factor, 0.0)
         if factor == 1:
             return self
@@ -397,27 +389,27 @@ class Water(Spectra):
         name = self.name if share == "1" else f"{share}·contents of {self.name}"
         if factor == 0:
             name = f"pure water (without contents of {self.name})"
-        return self._with(factor, name, self.provenance)
+        return self._scaled(factor, name, self.provenance)
 
     def _eye(self) -> tuple[Array, Array]:
-        """Wavelengths that the water has and the eye sees, and the weights of these."""
+        """Wavelengths that the water covers and the eye sees, and the eye's weights."""
         low, high = float(self.wavelengths[0]), float(self.wavelengths[-1])
         if low > _VISIBLE_NM[1] or high < _VISIBLE_NM[0]:
             raise ValueError(f"{self} has no wavelength in 400–700 nm")
         return eye(low, high)
 
-    def _seen(self, rates: Array) -> tuple[Array, Array]:
+    def _at_eye(self, rates: Array) -> tuple[Array, Array]:
         """The eye's weights, whose sum is 1, and rates at its wavelengths."""
         nodes, weights = self._eye()
         return weights, np.interp(nodes, self.wavelengths, rates)
 
     def _luminance(self, rates: Array, metres: float) -> float:
-        """The share of luminance that is left after a path in which light fades at these rates."""
-        weights, rates = self._seen(rates)
+        """Share of luminance that is left after a path in which light fades at these rates."""
+        weights, rates = self._at_eye(rates)
         return float(weights @ np.exp(rates * -metres))
 
     def _pure(self) -> Array:
-        """a, b and K_d (3, N) of the pure sea water in this one."""
+        """a, b and K_d (3, N) of the pure sea water in this water."""
         nm = self.wavelengths
         if nm[0] < 300 or nm[-1] > 800:
             cure = "resample with .at() first"
@@ -426,7 +418,8 @@ class Water(Spectra):
         a, b = np.minimum(self.a, absorption), np.minimum(self.b, scattering)
         return np.array([a, b, np.minimum(self.kd, a + b / 2)])
 
-    def _with(self, factor: float, name: str, provenance: tuple[str, ...]) -> Self:
+    def _scaled(self, factor: float, name: str, provenance: tuple[str, ...]) -> Self:
+        """This water with its contents scaled by a factor."""
         fine = self._fine()
         pure = fine._pure()
         with np.errstate(over="ignore"):
@@ -434,14 +427,14 @@ class Water(Spectra):
         if not np.isfinite(table).all():
             times = f"its contents would be {factor:.4g} times as much"
             raise ValueError(f"{name} is out of reach: {times}")
-        # what a table's K_d lacks of its a grows with the contents
+        # where K_d is below a, the difference grows with the contents
         table[2] = np.maximum(table[2], LEAST_LOSS * table[0])
         return self._derived(fine.wavelengths, table, name, provenance)
 
     def _fine(self) -> Self:
-        """This water at the bands of a medium too: contents are all but pure water, whose spectrum
-        is not linear between wavelengths 25 nm apart. So a water has the same contents whether it
-        is taken to the bands of a medium before it is scaled or after.
+        """This water at the bands of a medium, too, so that it has the same contents whether it is
+        taken to these bands before it is scaled or after: the spectrum of pure water is not linear
+        between wavelengths 25 nm apart.
         """
         bands = bands_between(float(self.wavelengths[0]), float(self.wavelengths[-1]))
         if np.array_equal(self.wavelengths, bands):
@@ -449,8 +442,8 @@ class Water(Spectra):
         return self.at(np.union1d(self.wavelengths, bands))
 
     def _derived(self, axis: Array, table: Array, name: str, provenance: tuple[str, ...]) -> Self:
-        """A water of spectra that are known to be valid: checking them takes longer than all
-        else that a transform asks of a water at every picture.
+        """A water of valid spectra, without checks, which would take longer than all else that a
+        transform asks of a water at every picture.
         """
         water = object.__new__(type(self))
         table.flags.writeable = False
@@ -460,7 +453,7 @@ class Water(Spectra):
         return water
 
     def _table(self, axis: Array) -> Array:
-        """a, b and K_d (3, N) on an axis inside the range."""
+        """a, b and K_d (3, N) on an axis inside the water's range."""
         rows = [self.a, self.b, self.kd]
         if not np.array_equal(axis, self.wavelengths):
             rows = [np.interp(axis, self.wavelengths, row) for row in rows]
@@ -468,7 +461,7 @@ class Water(Spectra):
 
 
 def load_water(water: "str | os.PathLike[str] | Water") -> Water:
-    """A water by name, by its contents or from a file; a ``Water`` passes through.
+    """Load a water by name, by its contents or from a file; a ``Water`` passes through.
 
     Args:
         water: a Jerlov type, "3C" or "Jerlov 3C"; a mixture of two, "0.7*3C+0.3*7C", see
@@ -501,32 +494,31 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
     if "=" not in water:
         type = re.sub("^jerlov[ _-]*", "", water, flags=re.IGNORECASE)  # as sheets have it
         if type.upper() not in JERLOV_TYPES:
-            others = "contents such as 'chlorophyll=5', or a file that ends in .csv"
+            alternatives = "contents such as 'chlorophyll=5', or a file that ends in .csv"
             types = ", ".join(JERLOV_TYPES)
-            raise ValueError(f"water must be one of {types}; {others}; got {water!r}")
+            raise ValueError(f"water must be one of {types}; {alternatives}; got {water!r}")
         return Water.jerlov(type)
     contents = Constituents.parse(water)
     if not contents.fixed:
-        drawn = "RandomUnderwater draws from ranges, here is one water"
-        raise ValueError(f"water must have one number for each content, got {water!r}: {drawn}")
+        cause = "RandomUnderwater draws from ranges, here is one water"
+        raise ValueError(f"water must have one number for each content, got {water!r}: {cause}")
     return Water.from_constituents(name=contents.name, **contents.amounts)
 
 
 def _mixture(text: str) -> Water:
-    """The water of such as 0.7*3C+0.3*7C, with that name."""
+    """Read a mixture such as 0.7*3C+0.3*7C, which is its name, too."""
     parts = [part.partition("*")[::2] for part in text.split("+")]
     try:
-        (mine, first), (theirs, second) = ((float(share), water) for share, water in parts)
+        (first_share, first), (share, second) = ((float(share), name) for share, name in parts)
     except ValueError:
-        mine = theirs = math.nan
-    if not (mine >= 0 and theirs >= 0 and abs(mine + theirs - 1) < 1e-6):
+        first_share = share = math.nan
+    if not (first_share >= 0 and share >= 0 and abs(first_share + share - 1) < 1e-6):
         expected = "a mixture of two whose shares add up to 1, such as 0.7*3C+0.3*7C"
         raise ValueError(f"water: expected {expected}, got {text!r:.80}")
     water, other = (Water.jerlov(name.strip()) for name in (first, second))
-    mixed = water.mix(other, theirs)
-    return mixed._derived(
-        mixed.wavelengths, mixed._table(mixed.wavelengths), text, mixed.provenance
-    )
+    mixture = water.mix(other, share)
+    table = mixture._table(mixture.wavelengths)
+    return mixture._derived(mixture.wavelengths, table, text, mixture.provenance)
 
 
 def _read_csv(path: Path) -> Water:
@@ -539,7 +531,7 @@ def _read_csv(path: Path) -> Water:
 
 @compiled
 def _distance_to(share: float, weights: Array, rates: Array) -> float:
-    """The z ≥ 0 at which Σ weights·e^(−rates·z) falls to `share`; inf if it never does."""
+    """Distance z ≥ 0 at which Σ weights·e^(−rates·z) falls to `share`; inf if it never does."""
     if (weights * (rates <= 0)).sum() >= share:
         return math.inf
     # the logarithm of the sum is convex and falls, so Newton's steps from 0 never overshoot
@@ -563,18 +555,18 @@ def _contents_for(
     pure: Array,
     contents: Array,
 ) -> float:
-    """By which factor what is in a water leaves a contrast, see `Water.contents_for`; of rates at
-    the water's wavelengths, and the eye's nodes and weights.
+    """Factor of `Water.contents_for`, from the rates of pure water and contents at the water's
+    wavelengths, and the eye's nodes and weights.
     """
-    seen = weights * np.exp(np.interp(nodes, wavelengths, pure) * -metres)
-    if seen.sum() <= contrast:
+    luminance = weights * np.exp(np.interp(nodes, wavelengths, pure) * -metres)
+    if luminance.sum() <= contrast:
         return 0.0
-    return _distance_to(contrast, seen, np.interp(nodes, wavelengths, contents) * metres)
+    return _distance_to(contrast, luminance, np.interp(nodes, wavelengths, contents) * metres)
 
 
 @lru_cache(maxsize=16)
 def eye(low: float, high: float) -> tuple[Array, Array]:
-    """Wavelengths that are seen between these, and the weights of the CIE 1931 observer's ȳ."""
+    """Wavelengths between two that the eye sees, nm, and weights by the CIE 1931 observer's ȳ."""
     nodes = np.linspace(max(low, _VISIBLE_NM[0]), min(high, _VISIBLE_NM[1]), _EYE_NODES)
     weights = np.interp(nodes, *_observer())
     return nodes, weights / weights.sum()

@@ -1,1 +1,1 @@
-"""A page to try it: the model in one HTML file, for a browser."""
+"""The model in one HTML page, for a browser."""

@@ -1,6 +1,4 @@
-"""What the page knows of the model: spectra, the plan of the blur, constants and defaults, all from
-the package as it is installed.
-"""
+"""Numbers of the model for the page: spectra, the plan of the blur, constants and defaults."""
 
 import base64
 from typing import Any
@@ -31,30 +29,30 @@ from uwaug.transforms.random_underwater import SEVERITIES
 from uwaug.transforms.random_water import RandomWater
 
 _WIDTHS_PX = (0.0, 400.0)
-"""Of the blurs; wider ones are as good as the mean of a picture."""
+"""Range of the blurs. Wider ones are as good as the mean of a picture."""
 
 _BLUR_RMSE = 0.0005
-"""At .002 pictures are up to 3 grey levels from those of `uwaug degrade`, which plans
-for each; memory goes with the number of blurs, 13 here.
+"""Planned error, for which 13 blurs are needed. At .002 pictures would be up to 3 grey levels from
+those of `uwaug degrade`.
 """
 
 _LONGEST_PX = 1024.0
-"""Side of a picture that the widest blurs are planned for."""
+"""Longest side of a picture for which the widest blurs are planned."""
 
 PIXELS = 1_000_000
-"""Of a picture on the page, at most: its blurs take 72 bytes for each, all of it some 170."""
+"""Most pixels of a picture on the page. Each takes some 170 bytes, 72 of them for its blurs."""
 
 _REFLECTANCE = 0.18
-"""Of the grey detail whose contrast is shown, as `uwaug.contrast_left` has it."""
+"""Reflectance of the grey detail whose contrast is shown, as in `uwaug.contrast_left`."""
 
 
 def plan_of_page() -> BlurPlan:
-    """The blurs of every picture on the page."""
+    """Plan of the blurs of every picture on the page."""
     return plan_blur(*_WIDTHS_PX, _BLUR_RMSE, "exponential", _LONGEST_PX)
 
 
 def tables() -> dict[str, Any]:
-    """All of it, as JSON holds it."""
+    """Collect all numbers, as JSON holds them."""
     camera, axis = load_camera(RandomWater.camera), WAVELENGTHS.tobytes()
     law, (least, most) = PointSpread.calibrated(FOCAL_LENGTH), LENGTHS
     pure = dict(zip(("a", "b"), constituents.pure_water(axis), strict=True))
@@ -117,9 +115,7 @@ def _spectra(water: Water) -> dict[str, Array]:
 
 
 def _plan(plan: BlurPlan) -> dict[str, Any]:
-    """The blurs of a plan, as kernels of one axis that repeat every q px; the first, which is none,
-    is left out.
-    """
+    """Blurs of a plan but for σ = 0, as kernels of one axis that repeat every q px."""
     slope, offset = place_line(plan)
     nodes = zip(plan.sigmas, plan.cells, strict=True)
     blurs = [_blur(sigma, cell, plan.reach) for sigma, cell in nodes if sigma > 0]
@@ -142,7 +138,7 @@ def _blur(sigma: float, cell: float, reach: float) -> dict[str, Any]:
 
 
 def _draws() -> dict[str, Any]:
-    """What `RandomUnderwater` draws by default."""
+    """Ranges from which `RandomUnderwater` draws by default."""
     water, development = RandomWater(), RandomDevelopment()
     return {
         "waters": [w if isinstance(w, str) else "contents" for w in random_water.WATERS],
@@ -160,7 +156,7 @@ def _draws() -> dict[str, Any]:
 
 
 def _rounded(value: Any) -> Any:
-    """Numbers with eight digits, as many as single precision holds."""
+    """Round numbers to eight digits, as many as single precision holds."""
     if isinstance(value, dict):
         return {name: _rounded(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,4 @@
-"""The page as one file: code, looks, tables and a scene, put into one HTML document."""
+"""Writer of the page: code, style, tables and a scene in one HTML file."""
 
 import base64
 import io
@@ -18,10 +18,10 @@ from uwaug.page.tables import tables
 from uwaug.presets.scene import Scene
 
 _OPEN_CODE = 65535
-"""Of open water, in whole numbers of 16 bits."""
+"""Code of open water in whole numbers of 16 bits."""
 
 _WORKER = ("model.js", "maps.js", "holes.js", "like.js", "worker.js")
-"""What runs beside the page: one script, with one name for each thing."""
+"""Files of the worker, which become one script with unique names."""
 
 
 def write_page(
@@ -32,10 +32,9 @@ def write_page(
     Args:
         path: of the HTML file; written whole, or not at all.
         scene: of `tables.PIXELS` at most, see `uwaug.presets.scene.own_scene`.
-        source: where it comes from, for what is copied from the page: "picture" and "distance",
-            names of files, or metres; "unit", m; "holes"; "unsaved", whether there are no such
-            files before the page has saved them; "guessed", whether distances are made up;
-            "width" of the picture, px.
+        source: origin of the scene, for commands that the page shows: "picture" and "distance",
+            names of files, or metres; "unit", m; "holes"; "unsaved": the page must save the files
+            first; "guessed": distances are made up; "width" of the picture, px.
         water: the Jerlov type to begin with.
 
     Raises:
@@ -58,7 +57,7 @@ def _text(name: str) -> str:
 
 
 def _plain(*names: str) -> str:
-    """Modules as one script: browsers load none for a page that is a file."""
+    """Join modules into one script: browsers load no modules for a page that is a file."""
     return re.sub(r"^export ", "", "\n".join(map(_text, names)), flags=re.MULTILINE)
 
 
@@ -68,7 +67,7 @@ def _json(value: Any) -> str:
 
 
 def _stored(scene: Scene) -> dict[str, Any]:
-    """Picture and distances; these as whole numbers of equal steps in their logarithm."""
+    """Encode picture and distances, these in equal steps of their logarithm."""
     pixels = (scene.image * 255).round().byte().permute(1, 2, 0).numpy()
     webp = io.BytesIO()
     Image.fromarray(pixels).save(webp, "WEBP", lossless=True)
@@ -78,7 +77,7 @@ def _stored(scene: Scene) -> dict[str, Any]:
     step = max(np.log(far / near) / (_OPEN_CODE - 1), 1e-9)
     with np.errstate(invalid="ignore"):
         codes = np.where(np.isfinite(z), np.rint(np.log(z / near) / step), _OPEN_CODE)
-    steps = np.diff(codes.astype("<u2").ravel(), prepend=np.uint16(0))  # pack in half the bytes
+    steps = np.diff(codes.astype("<u2").ravel(), prepend=np.uint16(0))  # half the bytes
     packed = zlib.compress(steps.tobytes(), 9)
     text = {"picture": webp.getvalue(), "distance": packed}
     encoded = {name: base64.b64encode(data).decode() for name, data in text.items()}

@@ -1,4 +1,4 @@
-"""What comes with the package: presets, and a scene."""
+"""Presets and a scene that come with the package."""
 
 import lazy_loader
 

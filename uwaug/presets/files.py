@@ -1,21 +1,19 @@
-"""The files of the presets that come with the package, by name. Nothing else is loaded, so that a
-shell can complete names at once.
-"""
+"""Files of the bundled presets, by name. Loads nothing else, so that a shell completes at once."""
 
 import os
 from pathlib import Path
 
 
 def list_presets() -> list[str]:
-    """Names of the presets that come with the package, sorted."""
+    """Sorted names of the presets that come with the package."""
     return sorted(_files())
 
 
 def bundled_preset(name: str) -> Path:
-    """The file of a preset that comes with the package.
+    """File of a preset that comes with the package.
 
     Raises:
-        ValueError: the name is unknown; lists the known.
+        ValueError: the name is unknown; lists all names.
     """
     files = _files()
     if name not in files:
@@ -24,10 +22,10 @@ def bundled_preset(name: str) -> Path:
 
 
 def preset_path(name_or_path: str | os.PathLike[str]) -> Path:
-    """The file of a preset, from its name or its path, see `uwaug.load_preset`.
+    """File of a preset, from its name or its path, see `uwaug.load_preset`.
 
     Raises:
-        ValueError: it is a name, and unknown; lists the known.
+        ValueError: it is an unknown name; lists all names.
     """
     if not isinstance(name_or_path, str) or name_or_path.endswith(".toml"):
         return Path(name_or_path)

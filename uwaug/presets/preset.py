@@ -1,4 +1,4 @@
-"""Presets: draws with a name, in TOML files."""
+"""Presets: options of `RandomUnderwater` in TOML files."""
 
 import os
 import tomllib
@@ -23,14 +23,13 @@ def load_preset(
 
     Args:
         name_or_path: a name, see `list_presets`; the path of a TOML file (a string that ends in
-            ``.toml``, or any path object), whose tables are what `RandomUnderwater.from_dict`
-            reads; or of a JSON file that `uwaug fit` has written. `uwaug preset show` prints a
-            preset to make your own. CSV files that it names lie beside it.
-        water, camera: take the place of the preset's, see `uwaug.load_water` and
-            `uwaug.load_camera`.
+            ``.toml``, or any path object), with tables for `RandomUnderwater.from_dict`; or of a
+            JSON file that `uwaug fit` has written. `uwaug preset show` prints a preset as a start.
+            CSV files that a file names lie beside it.
+        water, camera: replace the preset's, see `uwaug.load_water` and `uwaug.load_camera`.
 
     Raises:
-        ValueError: the name is unknown (lists the known); the file is no TOML, or a key is unknown,
+        ValueError: the name is unknown (lists all names); the file is no TOML; a key is unknown,
             missing, of the wrong type or out of range (names file and key); or water or camera is
             given where the preset has coefficients, which none replaces.
         OSError: the file cannot be read.
@@ -57,7 +56,7 @@ def load_preset(
 
 
 def read_tables(path: Path) -> dict[str, Any]:
-    """The options of `RandomUnderwater` that a TOML file holds; those of water as a table.
+    """Read the options of `RandomUnderwater` in a TOML file; those of water become a table.
 
     Raises:
         ValueError: the file is no TOML.
@@ -74,7 +73,7 @@ def read_tables(path: Path) -> dict[str, Any]:
 
 
 def _of_fit(path: Path, given: dict[str, Any]) -> RandomUnderwater:
-    """The medium of a fit, as it is."""
+    """Make a transform of the medium of a fit, without anything random."""
     # fits load scipy.optimize, which a DataLoader worker can do without
     from uwaug.fitting.result import load_fit
 
@@ -92,7 +91,7 @@ def _refuse(path: Path, given: dict[str, Any]) -> None:
 
 
 def _beside(path: Path, value: Any) -> Any:
-    """A value of a file; a water or a camera that is a CSV file lies beside it."""
+    """Complete the path of a CSV file, or of those in a list, as it lies beside the preset."""
     if isinstance(value, list):
         return [_beside(path, item) for item in value]
     return path.parent / value if str(value).lower().endswith(".csv") else value

@@ -1,13 +1,12 @@
-"""What others have published, an equation each: `akkaynak_2018(image, z, "7C")`.
+"""Systems that others have published, an equation each: `akkaynak_2018(image, z, "7C")`.
 
 All take a picture (3xHxW or Bx3xHxW, sRGB: floating point 0…1, or uint8) and distances along the
 ray (1xHxW or Bx1xHxW, m; +inf is open water), and give a picture of the same type, clipped to 0…1.
-Inside of a function `image` is light: decoded sRGB where the source works with radiances, and sRGB
-values as they are where it takes them for light.
+In equations the picture is light: decoded sRGB where the source works with radiances, and sRGB
+values where the source takes them for light.
 
-Those of spectra take what `uwaug.load_water` and `uwaug.load_camera` take. Few of the originals
-were at hand: each docstring says what its equation was taken from, what the source leaves open, and
-what is ours.
+Water and camera are arguments of `uwaug.load_water` and `uwaug.load_camera`. Few of the originals
+were at hand. Each docstring names its source, what the source leaves open, and what is ours.
 
 Examples:
     >>> import torch, uwaug
@@ -25,7 +24,7 @@ from uwaug.published.equation import picture as picture
 from uwaug.published.equation import system as system
 from uwaug.published.equation import systems as systems
 
-if TYPE_CHECKING:  # with their signatures, what the next line brings
+if TYPE_CHECKING:  # signatures of the names that the next line brings
     from uwaug.published.models import *  # noqa: F403
 
 globals().update(FUNCTIONS)

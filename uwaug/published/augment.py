@@ -1,4 +1,4 @@
-"""A published system as a transform of samples."""
+"""Published systems as transforms of samples."""
 
 import inspect
 from typing import Any
@@ -27,8 +27,8 @@ class _Augment(nn.Module):
         from uwaug.transforms.samples import take_apart
 
         parts = take_apart(inputs, self.keys, True)
-        drawn = {"generator": torch.default_generator} if self._draws else {}
-        result = self._degrade(parts.image, parts.distance, **drawn, **self.options)
+        random = {"generator": torch.default_generator} if self._draws else {}
+        result = self._degrade(parts.image, parts.distance, **random, **self.options)
         return parts.restore(result)
 
     def extra_repr(self) -> str:
@@ -39,18 +39,17 @@ class _Augment(nn.Module):
 def augment(
     name: str, *, keys: tuple[str, str] = ("image", "distance"), **options: Any
 ) -> nn.Module:
-    """A published system as a transform, called as `uwaug.RandomUnderwater` is: with (image,
-    distance, …) or a dict of both. What the source draws it draws for each picture, from torch's
-    global generator.
+    """Make a transform of a published system. It is called like `uwaug.RandomUnderwater`, with
+    (image, distance, …) or a dict of both, and draws from torch's global generator.
 
     Args:
         name: one of `systems`.
-        keys: of image and distance (metres) in a dict.
+        keys: keys of image and distance (metres) in a dict.
         options: arguments of the system, such as `water`.
 
     Raises:
-        ValueError: if the name is unknown; lists the known.
-        TypeError: if the system has no such argument; lists its own.
+        ValueError: if the name is unknown; lists all names.
+        TypeError: if the system has no such argument; lists its arguments.
 
     Examples:
         >>> import torch, uwaug

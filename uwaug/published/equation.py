@@ -1,5 +1,5 @@
-"""What the published systems share: pictures to light and back, a list of them, and integrals over
-the spectra of water and camera.
+"""Tools of the published systems: pictures to light and back, the list of systems, and integrals
+over the spectra of water and camera.
 """
 
 import inspect
@@ -29,12 +29,12 @@ AnyCamera = str | os.PathLike[str] | Camera
 _PIXELS_AT_ONCE = 4096
 
 FUNCTIONS: dict[str, Callable[..., Tensor]] = {}
-"""The published systems by the names of their functions."""
+"""Published systems by the names of their functions."""
 
 
 def published(color_space: ColorSpace) -> Callable[[Equation], Equation]:
-    """Put an equation between light (Bx3xHxW) and distance (Bx1xHxW) on the list of systems, as a
-    function of pictures.
+    """Make a system of an equation between light (Bx3xHxW) and distance (Bx1xHxW): a function of
+    pictures, on the list of systems.
 
     Args:
         color_space: "srgb" decodes pictures, "linear" takes their values for light.
@@ -55,7 +55,7 @@ def published(color_space: ColorSpace) -> Callable[[Equation], Equation]:
 
 
 def _opened(image: Tensor, z: Tensor, color_space: ColorSpace) -> tuple[Tensor, Tensor]:
-    """Light (Bx3xHxW) and finite metres (Bx1xHxW) of one type, or an error."""
+    """Check picture and map; return light (Bx3xHxW) and finite metres (Bx1xHxW) of one type."""
     if not isinstance(image, Tensor) or image.dtype != torch.uint8:
         checks.floating("image", image, "; or uint8")
     checks.picture("image", image, 3)
@@ -69,8 +69,7 @@ def _opened(image: Tensor, z: Tensor, color_space: ColorSpace) -> tuple[Tensor, 
     light, metres = (x.to(dtype).reshape(-1, *x.shape[-3:]) for x in (light, z))
     checks.batches({"image": len(light), "z": len(metres)})
     rows = max(len(light), len(metres))
-    light, metres = light.expand(rows, -1, -1, -1), metres.expand(rows, -1, -1, -1)
-    return light, metres.clamp(max=FARTHEST)
+    return light.expand(rows, -1, -1, -1), metres.expand(rows, -1, -1, -1).clamp(max=FARTHEST)
 
 
 def systems() -> list[str]:
@@ -80,24 +79,23 @@ def systems() -> list[str]:
 
 
 def system(name: str) -> Callable[..., Tensor]:
-    """The function of a published system, from its name.
+    """Function of a published system, by its name.
 
     Raises:
-        ValueError: if the name is unknown; lists the known.
+        ValueError: if the name is unknown; lists all names.
     """
     checks.one_of("system", name, systems())
     return FUNCTIONS[name.replace("-", "_")]
 
 
 def picture(name: str, image: Tensor, z: Tensor, water: AnyWater = "II") -> Tensor:
-    """A picture as a published system makes it in a water; one that has a water of its own
-    ("hou-2020") keeps that.
+    """Picture that a published system makes in a water.
 
     Args:
         name: one of `systems`.
         image, z: as for all systems.
-        water: what the system takes: what `uwaug.load_water` takes, or one of the ten Jerlov types
-            where it has figures of these ("li-2020", "slurpp-2025").
+        water: argument of `uwaug.load_water`. "li-2020" and "slurpp-2025" know the ten Jerlov types
+            alone, and "hou-2020" has one water, whatever is given.
 
     Raises:
         TypeError, ValueError, OSError: if name, image, z or water do not suit.
@@ -108,7 +106,7 @@ def picture(name: str, image: Tensor, z: Tensor, water: AnyWater = "II") -> Tens
 
 
 class BandedWater(NamedTuple):
-    """A water as a camera sees it, in N bands.
+    """Spectra of a water and a camera in N bands.
 
     Attributes:
         a, b, beta, kd (N tensors): absorption, scattering, attenuation of a beam and of daylight,
@@ -124,9 +122,7 @@ class BandedWater(NamedTuple):
 
     @staticmethod
     def of(water: AnyWater, camera: AnyCamera, like: Tensor) -> "BandedWater":
-        """A water and a camera, from 400 to 700 nm in steps of 5 as far as the water is known, of a
-        tensor's type.
-        """
+        """Bands from 400 to 700 nm in steps of 5, where the water has data; of a tensor's type."""
         water = load_water(water)
         first, last = water.wavelengths[[0, -1]]
         axis = WAVELENGTHS[(first <= WAVELENGTHS) & (last >= WAVELENGTHS)]
@@ -135,12 +131,11 @@ class BandedWater(NamedTuple):
         return BandedWater(*(torch.from_numpy(array.copy()).to(like) for array in arrays))
 
     def integral(self, light: Tensor | float, *legs: tuple[Tensor, Tensor]) -> Tensor:
-        """∫ S_c·light·e^(−Σ rate·path) dλ, what the camera sees of a light (N) that loses some of
-        itself on each leg (Bx3xHxW; 1x3x1x1 without legs).
+        """Camera's signal ∫ S_c·light·e^(−Σ rate·path) dλ (Bx3xHxW; 1x3x1x1 without legs).
 
         Args:
-            light: of each band.
-            legs: rate (N) 1/m and path (Bx1xHxW) m of each.
+            light (N): light of each band.
+            legs: rate (N), 1/m, and path (Bx1xHxW), m, of each leg of its way.
         """
         weights = self.response * light
         if not legs:
@@ -155,9 +150,8 @@ class BandedWater(NamedTuple):
     def scattered(
         self, image: Tensor, z: Tensor, scale: float, shape: Shape = "exponential"
     ) -> Tensor:
-        """The picture under a blur of each pixel's own width σ = scale·b̄·z px, b̄ the mean of b
-        over the channels, where the short side has 518 px. An exponential shape has the transfer
-        function e^(−2πσf).
+        """Blur a picture by σ = scale·b̄·z px at each pixel, for a short side of 518 px. b̄ is the
+        mean of b over the channels. An exponential shape has the transfer function e^(−2πσf).
         """
         size = z.shape[-2:]
         sigma = scale * min(size) / 518 * (self.response @ self.b).mean() * z
@@ -173,8 +167,8 @@ def between(
     generator: torch.Generator | None,
     like: Tensor,
 ) -> Tensor:
-    """The middle of a range, or numbers drawn in it for each picture of a batch: 1x1x1x1 or Bx1x1x1
-    of two numbers, 1x3x1x1 or Bx3x1x1 of two colours.
+    """Middle of a range of numbers (1x1x1x1) or colours (1x3x1x1); with a generator, numbers or
+    colours drawn in it for each picture of a batch (Bx1x1x1 or Bx3x1x1).
     """
     ends = [torch.tensor(end, dtype=torch.float64).reshape(1, -1, 1, 1) for end in (low, high)]
     share = torch.full((1, 1, 1, 1), 0.5, dtype=torch.float64)
@@ -185,5 +179,5 @@ def between(
 
 
 def colour(values: Sequence[float] | Tensor, like: Tensor) -> Tensor:
-    """Three numbers beside pictures (1x3x1x1)."""
+    """Reshape three numbers (1x3x1x1), of the type of pictures."""
     return torch.as_tensor(values, dtype=torch.float64).to(like).reshape(1, 3, 1, 1)

@@ -1,8 +1,8 @@
-"""The published systems, oldest first. With `@published`, a function here is all that one takes.
+"""Published systems, oldest first. A function with `@published` is all that one takes.
 
-In all of them J is the scene, z the distance, d the depth below the surface, S_c the response of
-the camera, and a, b, β = a + b, K_d are spectra of the water. Without a word on it, water is
-homogeneous and surfaces are grey.
+J is the scene, z the distance, d the depth below the surface, S_c the response of the camera, and
+a, b, β = a + b, K_d are spectra of the water. Water is homogeneous and surfaces are grey where
+nothing else is said.
 """
 
 from typing import Literal
@@ -19,10 +19,10 @@ from uwaug.published.equation import AnyCamera, AnyWater, BandedWater, between, 
 
 _CAMERA = "Nikon 5100 (NPL)"
 _LAMP = Lamp(position=(-0.8, -0.5, 0.0), power=10.0, aim=(0.8, 0.5, 3.0), cone=50.0)
-"""Beside the camera, aimed at what is 3 m ahead."""
+"""Lamp beside the camera, aimed 3 m ahead."""
 
 _ROWS_AT_ONCE = 16
-"""Of a picture: the bands of a lamp's beam are held for no more."""
+"""Rows of a picture for which the bands of a lamp's beam are held at once."""
 
 _RGB = tuple[float, float, float]
 
@@ -42,14 +42,13 @@ def mcglamery_1980(
 
         I = L·e^(−βz)·J + L·(e^(−Gz) − e^(−βz))·PSF_z{J} + ∫beam,  PSF_z = F⁻¹{e^(−φzf)}
 
-    Source: B. L. McGlamery, Proc. SPIE 0208 (1980) 221, doi:10.1117/12.958279. It was not at hand:
-    the equation is written from general knowledge of the literature.
+    Source: B. L. McGlamery, Proc. SPIE 0208 (1980) 221, doi:10.1117/12.958279. Not at hand: written
+    from general knowledge of the literature.
     Left open: the colours (it has one wavelength), and G and φ, which it fits, with a ≤ G ≤ K_d.
     Ours: spectra and a camera; G = a + g·b, with a g that keeps that bound in all ten types at all
-    wavelengths; φ = 2π·.3 px·b̄ where the short side has 518 px; the lamp, and a view of `view`
-    degrees from side to side. Its light L on the scene is cone·cos/r², of surfaces as the distances
-    have them, and fades with G on its way, as Monte Carlo transport has it, and not with β. What
-    the beam adds is scattered by a phase function of Henyey and Greenstein. The lamp is white.
+    wavelengths; φ = 2π·.3 px·b̄ where the short side has 518 px; a white lamp; a view `view` degrees
+    wide. The lamp's light L on the scene is cone·cos/r². On its way it fades with G, as in Monte
+    Carlo transport, and not with β. The phase function is that of Henyey and Greenstein.
     """
     w = BandedWater.of(water, camera, z)
     G = w.a + g * w.b
@@ -69,12 +68,12 @@ def jaffe_1990(
     lamp: Lamp = _LAMP,
     view: float = 60.0,
 ) -> Tensor:
-    """As McGlamery, but what is scattered forward is the direct light.
+    """McGlamery's model, but the direct light is blurred, and not the scene.
 
         D = L·e^(−βz)·J,  I = D + (e^(−Gz) − e^(−βz))·PSF_z{D} + ∫beam,  PSF_z = F⁻¹{e^(−φzf)}
 
-    Source: J. S. Jaffe, IEEE J. Oceanic Eng. 15 (1990) 101, doi:10.1109/48.50695. It was not at
-    hand: the equation is written from general knowledge of the literature.
+    Source: J. S. Jaffe, IEEE J. Oceanic Eng. 15 (1990) 101, doi:10.1109/48.50695. Not at hand:
+    written from general knowledge of the literature.
     Left open: the colours, and G and φ, which it fits, with |G| ≤ β.
     Ours: as in `mcglamery_1980`, with another g. Each pixel takes weight and blur of its own
     distance.
@@ -99,16 +98,15 @@ def schechner_2004(
     g: float = 0.2,
     mu: float = 0.3,
 ) -> Tensor:
-    """Jaffe's model under natural light: D and F together are e^(−βz) times an effective scene L,
-    which is the scene and a blur of it; the veil has one number at infinity.
+    """Jaffe's model under natural light: D + F is e^(−βz) times an effective scene L, the scene and
+    a blur of it. The veil has one number at infinity.
 
         I = e^(−βz)·L + B∞·(1 − e^(−βz)),  L = E·(J + (e^(−Gz) − e^(−βz))·PSF_z{J}),
         B∞ = μbE/β,  E = e^(−K_d·d)
 
-    Source: Y. Y. Schechner, N. Karpel, CVPR 2004, I-536, doi:10.1109/CVPR.2004.1315078. It was not
-    at hand: the equation is written from general knowledge of the literature.
-    Left open: colours, G, φ, and the veil, which the authors read from their pictures. They then
-    leave the blur alone and recover the effective scene.
+    Source: Y. Y. Schechner, N. Karpel, CVPR 2004, I-536, doi:10.1109/CVPR.2004.1315078. Not at
+    hand: written from general knowledge of the literature.
+    Left open: colours, G, φ, and the veil, which the authors read from their pictures.
     Ours: spectra and a camera, G = a + g·b, φ = 2π·.3 px·b̄ where the short side has 518 px, the
     veil of a homogeneous water.
     """
@@ -130,20 +128,18 @@ def akkaynak_2018(
     *,
     vertical_depth: float = 1.0,
 ) -> Tensor:
-    """The revised model: attenuation of the picture and of the veil are two coefficients, each the
-    mean of a spectrum that changes with distance. Both follow from spectra, without being named.
+    """Revised model: picture and veil have two coefficients of attenuation, each the mean of a
+    spectrum that changes with distance. Both follow from the spectra.
 
         I_c = J_c·e^(−β_c^D·z) + B_c∞·(1 − e^(−β_c^B·z))
             = J_c·∫S_c·E·e^(−βz) + ∫S_c·(bE/β)·(1 − e^(−βz)),  E = e^(−K_d·d)
 
-    Source: D. Akkaynak, T. Treibitz, CVPR 2018, 6723, doi:10.1109/CVPR.2018.00703. It was not at
-    hand: the equation is written from general knowledge of the literature.
-    Left open: the reflectance in the mean (a spectrum of its own): here a grey one.
+    Source: D. Akkaynak, T. Treibitz, CVPR 2018, 6723, doi:10.1109/CVPR.2018.00703. Not at hand:
+    written from general knowledge of the literature.
+    Left open: the spectrum of the reflectance in the mean; here it is grey.
     Ours: depth and camera.
     """
-    w = BandedWater.of(water, camera, z)
-    E = torch.exp(-w.kd * vertical_depth)
-    return _revised(image, z, w, E, E)
+    return _revised(image, z, water, camera, vertical_depth)
 
 
 @published("linear")
@@ -157,16 +153,16 @@ def ueda_2019(
     veil: tuple[_RGB, _RGB] = ((0.4, 0.7, 0.7), (0.5, 0.8, 0.8)),
     generator: torch.Generator | None = None,
 ) -> Tensor:
-    """Spectra and a camera; one attenuation for picture and veil; light falls with depth by beam
-    attenuation instead of K_d; a random veil.
+    """Spectra and a camera, one attenuation for picture and veil, and a random veil. Light falls
+    with depth by beam attenuation instead of K_d.
 
         I_c = J_c·t_c(d + z) + B_c·(t_c(d) − t_c(d + z)),  t_c(x) = ∫S_c·e^(−βx),  B_c random
 
-    Source: T. Ueda, K. Yamada, Y. Tanaka, ICIP 2019, 2115, doi:10.1109/ICIP.2019.8803195. Read
-    second-hand: equation and range of the veil are those of an independent implementation
+    Source: T. Ueda, K. Yamada, Y. Tanaka, ICIP 2019, 2115, doi:10.1109/ICIP.2019.8803195.
+    Second-hand: equation and range of the veil are those of an independent implementation
     (github.com/Jacobs-University/ICIP6-Underwater-Image-Synthesis).
     Left open: the depth.
-    Ours: 1 m; daylight without a colour of its own; the middle of the veil without a generator.
+    Ours: 1 m; white daylight; the middle of the veil without a generator.
     """
     w = BandedWater.of(water, camera, z)
     B = between(*veil, generator, z)
@@ -183,17 +179,17 @@ def hou_2020(
     transmission: _RGB = (0.35, 0.778, 0.728),
     veil: _RGB = (0.15, 0.69, 0.6),
 ) -> Tensor:
-    """SUID: no distance. One transmission for each channel, and a veil, both read from a real
-    underwater picture by the red-channel prior.
+    """SUID: one transmission for each channel, whatever the distance, and a veil, both read from a
+    real underwater picture by the red-channel prior.
 
         I_c = J_c·t_c + B_c·(1 − t_c)
 
-    Source: G. Hou et al., IEEE Access 8 (2020) 122078, doi:10.1109/ACCESS.2020.3006359. Read
-    second-hand: from an independent implementation (github.com/vismiroglou/SUID_data_generation),
-    which keeps a map of transmissions, smoothed; here it is one number for each channel, as a table
-    of the paper arXiv:2509.15011 has it.
-    Left open: which picture.
-    Ours: a green-blue veil, a transmission of .35 in red, and the others by the source's own rule,
+    Source: G. Hou et al., IEEE Access 8 (2020) 122078, doi:10.1109/ACCESS.2020.3006359.
+    Second-hand: from an independent implementation (github.com/vismiroglou/SUID_data_generation),
+    which has a smooth map of transmissions. One number for each channel is from a table of
+    arXiv:2509.15011.
+    Left open: the real picture.
+    Ours: a green-blue veil, a transmission of .35 in red, and the others by the source's rule,
     t_c = t_r^(b_c·B_r / (b_r·B_c)) with b = 1.62517 − .00113·λ/nm at 620, 540 and 450 nm.
     """
     t, B = colour(transmission, z), colour(veil, z)
@@ -212,7 +208,7 @@ UWCNN = {
     "7C": (0.62, 0.61, 0.5),
     "9C": (0.55, 0.46, 0.29),
 }
-"""What is left of red, green and blue after a metre of each type, for `li_2020`."""
+"""Shares of red, green and blue that are left after a metre of each type, for `li_2020`."""
 
 
 @published("linear")
@@ -224,17 +220,17 @@ def li_2020(
     vertical_depth: tuple[float, float] = (3.0, 5.0),
     generator: torch.Generator | None = None,
 ) -> Tensor:
-    """UWCNN: three numbers for each of ten Jerlov types, what is left after one metre; a veil that
-    is 1.5 times what is left after a random depth, by which the picture is multiplied too.
+    """UWCNN: three numbers N for each of ten Jerlov types, the shares left after one metre. The
+    light at a random depth, 1.5·N^d, multiplies the picture and is the veil.
 
         I_c = A_c·J_c·N_c^z + A_c·(1 − N_c^z),  A_c = 1.5·N_c^d,  d random in 3…5 m
 
     Source: C. Li, S. Anwar, F. Porikli, Pattern Recognition 98 (2020) 107038,
-    doi:10.1016/j.patcog.2019.107038; S. Anwar, C. Li, F. Porikli, arXiv:1807.03528. Read
-    second-hand: the authors' script as copied in github.com/evysb/generate_image_underwater.
-    Another implementation (github.com/deepxzy/underwater-image-synthesis-algorithm) has .805 and
-    .804 for red in I and IA, where .85 and .84 stand here. Distances there are a map of 0…1 times
-    .5…15 m, drawn for each picture.
+    doi:10.1016/j.patcog.2019.107038; S. Anwar, C. Li, F. Porikli, arXiv:1807.03528. Second-hand:
+    the authors' script as copied in github.com/evysb/generate_image_underwater. There distances are
+    a map of 0…1 times .5…15 m, drawn for each picture. Another implementation
+    (github.com/deepxzy/underwater-image-synthesis-algorithm) has .805 and .804 for red in I and IA,
+    where .85 and .84 stand here.
     Ours: the middle of the depths without a generator.
     """
     N = colour(_row(water, UWCNN), z)
@@ -251,19 +247,17 @@ def desai_2021(
     *,
     vertical_depth: float = 1.0,
 ) -> Tensor:
-    """RUIG: the revised model with a veil computed from the water; depth dims the veil alone.
+    """RUIG: the revised model with a veil computed from the water. Depth dims the veil alone.
 
         I_c = J_c·∫S_c·e^(−βz) + ∫S_c·(b·e^(−K_d·d)/β)·(1 − e^(−βz))
 
     Source: C. Desai, R. A. Tabib, S. S. Reddy, U. Patil, U. Mudenagudi, CVPR Workshops 2021, 2181.
-    Neither paper nor code was at hand: that the veil is analytic and that β^D ≠ β^B is from the
-    review in arXiv:2509.15011; that depth enters by the veil alone, from the abstract of the
-    authors' later RSUIGM, which brings light from above into the direct term as new.
+    Neither paper nor code was at hand. The review in arXiv:2509.15011 tells that the veil is
+    analytic and that β^D ≠ β^B. That depth enters by the veil alone follows from the abstract of
+    the authors' RSUIGM, where light from above in the direct term is new.
     Ours: depth, camera, and a grey reflectance in the means.
     """
-    w = BandedWater.of(water, camera, z)
-    E = torch.exp(-w.kd * vertical_depth)
-    return _revised(image, z, w, torch.ones_like(E), E)
+    return _revised(image, z, water, camera, vertical_depth, dims_scene=False)
 
 
 @published("srgb")
@@ -278,25 +272,22 @@ def liu_2022(
     power: float = 10.0,
     aside: float = 0.5,
 ) -> Tensor:
-    """Attenuation, and a veil computed from the water, under uniform, parallel or artificial light
-    E.
+    """Attenuation, and a veil computed from the water, under uniform, parallel or artificial light.
 
         I_c = J_c·∫S_c·E(z)·e^(−βz) + ∫_0^z ∫S_c·b·E(s)·e^(−βs) ds
         E = 1 (uniform), e^(−K_d·d) (parallel), P·e^(−βr)/r² (artificial)
 
-    which is b·E/β·(1 − e^(−βz)) in the first two.
+    The veil is b·E/β·(1 − e^(−βz)) under uniform and parallel light.
 
     Source: Y. Liu et al., Information 13 (2022) 187, doi:10.3390/info13040187. The abstract alone
-    was at hand; that the veil is analytic and what the lights are is from the review in
-    arXiv:2509.15011.
+    was at hand; veil and lights are from the review in arXiv:2509.15011.
     Ours: uniform light by default; spectra and a camera; a lamp to all sides of `power` P (of a
     white plate at 1 m), `aside` m from the camera, so that r² = z² + aside².
     """
     checks.one_of("light", light, ("uniform", "parallel", "artificial"))
-    w = BandedWater.of(water, camera, z)
     if light != "artificial":
-        E = torch.exp(-w.kd * (vertical_depth if light == "parallel" else 0.0))
-        return _revised(image, z, w, E, E)
+        return _revised(image, z, water, camera, vertical_depth if light == "parallel" else 0.0)
+    w = BandedWater.of(water, camera, z)
     r = (z.square() + aside**2).sqrt()
     result = image * power / r.square() * w.integral(1.0, (w.beta, z + r))
     # in the angle θ = atan(s/aside), ds/r² is dθ/aside
@@ -324,12 +315,10 @@ def desai_2024(
 
     Source: C. Desai et al., ACM Trans. Multimedia Comput. Commun. Appl. 21 (2024),
     doi:10.1145/3656473. The abstract alone was at hand; the rest is from the review in
-    arXiv:2509.15011. By that it is the equation of `akkaynak_2018`, at a depth.
+    arXiv:2509.15011. It is the equation of `akkaynak_2018`, at another depth.
     Ours: depth, camera, and a grey reflectance in the means.
     """
-    w = BandedWater.of(water, camera, z)
-    E = torch.exp(-w.kd * vertical_depth)
-    return _revised(image, z, w, E, E)
+    return _revised(image, z, water, camera, vertical_depth)
 
 
 @published("linear")
@@ -341,17 +330,14 @@ def ismiroglou_reference_2025(
     *,
     vertical_depth: float = 1.0,
 ) -> Tensor:
-    """The reference model that Ismiroglou et al. compare their forward scatter with: g = μ = 1, no
-    blur.
+    """Reference model of Ismiroglou et al., to which they compare theirs: g = μ = 1, and no blur.
 
         I_c = J_c·∫S_c·E·e^(−βz) + ∫S_c·(bE/β)·(1 − e^(−βz)),  E = e^(−K_d·d)
 
     Source: V. Ismiroglou et al., arXiv:2509.15011. As there, sRGB values are taken for light.
-    Ours: its camera, a Nikon D90, has data for non-commercial use alone: here it is another.
+    Ours: the camera, as data of its Nikon D90 are for non-commercial use alone.
     """
-    w = BandedWater.of(water, camera, z)
-    E = torch.exp(-w.kd * vertical_depth)
-    return _revised(image, z, w, E, E)
+    return _revised(image, z, water, camera, vertical_depth)
 
 
 @published("linear")
@@ -365,18 +351,18 @@ def ismiroglou_2025(
     g: float = 0.2,
     mu: float = 0.3,
 ) -> Tensor:
-    """The paper that `uwaug` follows: direct light, forward scatter as a blur of the scene, a veil
-    with the rate G of what is scattered forward.
+    """Model that `uwaug` follows: direct light, forward scatter as a blur of the scene, and a veil
+    with the rate G of forward scatter.
 
         I = E·e^(−βz)·J + E·(e^(−Gz) − e^(−βz))·Gauss_σ{J} + (μbE/G)·(1 − e^(−Gz)),
         G = a + g·b,  σ = 0.3·b̄·z,  E = e^(−K_d·d)
 
     Source: V. Ismiroglou et al., arXiv:2509.15011, table 2. As there, sRGB values are taken for
     light.
-    Left open: the size of picture that σ refers to (here a short side of 518 px, that of the
-    paper's), and the order of weighting and blurring (here the pixel that looks).
-    Ours: its camera, a Nikon D90, has data for non-commercial use alone: here it is another. Water
-    is homogeneous; for its field give z·field.
+    Left open: the size of picture that σ refers to (here a short side of 518 px, as in the paper),
+    and the order of weighting and blurring (here blurred first).
+    Ours: the camera, as data of its Nikon D90 are for non-commercial use alone. Water is
+    homogeneous; for its field give z·field.
     """
     w = BandedWater.of(water, camera, z)
     G, E = w.a + g * w.b, torch.exp(-w.kd * vertical_depth)
@@ -410,17 +396,17 @@ def slurpp_2025(
     veil: tuple[_RGB, _RGB] = ((0.05, 0.3, 0.3), (0.35, 0.7, 0.7)),
     generator: torch.Generator | None = None,
 ) -> Tensor:
-    """What restoration is trained on today, as an example: one attenuation for each channel, shared
-    by picture and veil; stored veils; no linear light.
+    """Example of what restoration is trained on: one attenuation for each channel, shared by
+    picture and veil; stored veils; no linear light.
 
         I_c = J_c·e^(−β_c·z) + B_c·(1 − e^(−β_c·z)),  B_c stored
 
     Source: J. Wu et al., arXiv:2507.07878, from the authors' data loader, as in
     github.com/CoMPASLab/SLURPP (slurpp/datasets/UR_revised_dataloader.py). Attenuation is one of
     ten rows (Jerlov types, one of them with a misprint: 5C, red, 9.09), times a number drawn in
-    .01…1; where all three then exceed .5, their ratio is kept and the largest becomes a number
-    drawn in .1….3. The table here is what that makes of the middle of both draws.
-    Not read: the stored veils (a file of numbers, drawn from as it is).
+    .01…1. Where all three then exceed .5, their ratio is kept and the largest becomes a number
+    drawn in .1….3. The table here has the middle of both draws.
+    Not read: the file of stored veils.
     Ours: their range, and its middle without a generator.
     """
     beta, B = colour(_row(water, SLURPP), z), between(*veil, generator, z)
@@ -431,8 +417,8 @@ def slurpp_2025(
 def _lit(
     lamp: Lamp, view: float, z: Tensor, G: Tensor, w: BandedWater
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What a lamp sends to surfaces that face the camera without the water between, how far that is
-    (Bx1xHxW), and the veil that the water of its beam makes (Bx3xHxW).
+    """Light of a lamp on surfaces that face the camera, without the water; its way there (Bx1xHxW,
+    m); and the veil of its beam (Bx3xHxW).
     """
     rays = Rays.of(z, view)
     sent = lamp.sent(rays, z)
@@ -448,15 +434,27 @@ def _lit(
     return lamp.power * sent.share * facing, sent.path, lamp.power * torch.cat(strips, 2)
 
 
-def _revised(image: Tensor, z: Tensor, w: BandedWater, lit: Tensor, veiling: Tensor) -> Tensor:
-    """J_c·∫S_c·E·e^(−βz) + ∫S_c·(bE/β)·(1 − e^(−βz)), of light E on the scene and in the water."""
-    veil = w.b * veiling / w.beta
-    direct = w.integral(lit, (w.beta, z)) * image
+def _revised(
+    image: Tensor,
+    z: Tensor,
+    water: AnyWater,
+    camera: AnyCamera,
+    vertical_depth: float,
+    *,
+    dims_scene: bool = True,
+) -> Tensor:
+    """Picture J_c·∫S_c·E·e^(−βz) + ∫S_c·(bE/β)·(1 − e^(−βz)), with E = e^(−K_d·d); E = 1 on the
+    scene without `dims_scene`.
+    """
+    w = BandedWater.of(water, camera, z)
+    E = torch.exp(-w.kd * vertical_depth)
+    veil = w.b * E / w.beta
+    direct = w.integral(E if dims_scene else torch.ones_like(E), (w.beta, z)) * image
     return direct + w.integral(veil) - w.integral(veil, (w.beta, z))
 
 
 def _row(water: str | Water, table: dict[str, _RGB]) -> _RGB:
-    """The figures of a water type, which has no spectra there."""
+    """Row of a table for a Jerlov type."""
     name = water.name if isinstance(water, Water) else water
     checks.one_of("water", name, table)
     return table[name]
