@@ -117,10 +117,9 @@ def test_a_copy_in_half_precision_runs(frozen, tmp_path) -> None:
     assert 0 < (run(image, distance) - exact(image, distance)).abs().max() < 0.005
 
 
-@pytest.mark.parametrize("metered", [False, True])
-def test_a_file_with_a_lamp(tmp_path, metered) -> None:
+def test_a_file_with_a_lamp(tmp_path) -> None:
     medium = Medium.from_water("7C", vertical_depth=10.0, point_spread=PointSpread.none())
-    lit = {"light": LIGHT, "development": Development(metered=metered)}
+    lit = {"light": LIGHT, "development": Development(metered=True)}
     module = Underwater(medium, (NEAR, FAR), COARSE, sides=(1, 144), **lit)
     said: list[str] = []
     path = export_onnx(module, tmp_path / "lamp.onnx", progress=said.append)

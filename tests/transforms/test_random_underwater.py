@@ -243,8 +243,8 @@ def test_gradients_pass_to_image_and_distance(kind: Any, light: Light | None) ->
     # a blur is planned for the distances and the exposure at hand, which are not followed
     water = RandomWater(["II", "5C"], point_spread=PointSpread.none())
     aug = RandomUnderwater(water, development=RandomDevelopment(color_space=kind), light=light)
-    image = (0.2 + 0.6 * torch.rand(3, 6, 7, dtype=torch.float64)).requires_grad_()
-    z = (1 + torch.rand(1, 6, 7, dtype=torch.float64)).requires_grad_()
+    image = (0.2 + 0.6 * torch.rand(3, 3, 5, dtype=torch.float64)).requires_grad_()
+    z = (1 + torch.rand(1, 3, 5, dtype=torch.float64)).requires_grad_()
     generator = torch.Generator().manual_seed(3)
     record = aug.make_params(image, generator)
     # water and drawn lamps are scaled to the median distance, which is not followed
