@@ -519,7 +519,7 @@ SPLITS: dict[str, tuple[str, dict[str, str], list[str]]] = {
             EMPTY.format("test", "nothing"),
         ],
     ),
-    "described, below a folder called train": (
+    "described, below folders called so, too": (
         "train: train\nval: val\n",
         {"images/train/1.png": "train", "images/val/2.png": "val"},
         [],
@@ -535,7 +535,7 @@ SPLITS: dict[str, tuple[str, dict[str, str], list[str]]] = {
 @pytest.mark.parametrize("case", SPLITS)
 def test_splits(tmp_path: Path, case: str) -> None:
     text, pictures, notes = SPLITS[case]
-    root = tmp_path / "train/ds"
+    root = tmp_path / "train/val/ds"
     write(root / "data.yaml", f"{text}names: [fish]\n")
     for name, split in pictures.items():
         own = name.replace("images", "labels") if "images" in name else f"labels/{name}"

@@ -447,6 +447,7 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
         ({"labels": "coco.json"}, "depth", "out", "belong to no .* no image has the file_name 0"),
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
         ({}, "depth", "all", "is read, and would be written over"),
+        ({"unit": "mm"}, "mm", "mm", "mm/0.png is read, and would be written over"),
         (
             {"transform": {"water": "II"}},
             "depth",
@@ -464,6 +465,7 @@ def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: 
     Path("other/9.txt").write_text("0 .5 .5 1 1")
     coco = {"images": [{"id": 1, "file_name": "9.png"}], "annotations": []}
     Path("coco.json").write_text(json.dumps(coco))
+    save("mm/0.png", (1000 * metres(H, W)).astype(np.uint16))
     if options.get("labels") == "labels":
         save("all/0.tif", pixels(H, W))
         save("labels/0.png", pixels()[..., 0])

@@ -92,6 +92,22 @@ def test_a_particle_sends_its_radiance_times_its_area(single, place, diameter, l
     torch.testing.assert_close(added.sum((1, 2)), expected, rtol=5e-3, atol=1e-12)
 
 
+def test_its_light_is_lost_in_the_denser_water_of_a_field(single) -> None:
+    single(0.0, 0.0, 1.5, 5e-4)
+    black, metres = far().new_zeros(1, 3, *SIZE), far()
+
+    def added(density: float) -> Tensor:
+        scene = {"color_space": "linear", "metres": metres}
+        without, with_it = (
+            form(black, density * metres, medium, **scene)
+            for medium in (WATER, WATER.with_snow(SNOW))
+        )
+        return (with_it - without)[0].sum((1, 2))
+
+    lost = torch.exp(-1.5 * torch.tensor(BETA).double())
+    torch.testing.assert_close(added(2.0), lost * added(1.0))
+
+
 def test_a_disc_has_its_radiance(single) -> None:
     # 50 px wide in focus, and 1.9 mm across a lens of 20 mm
     size, focal = (400, 400), 200 / math.tan(math.radians(30))
