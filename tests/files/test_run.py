@@ -448,12 +448,7 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
         ({}, "depth", "all", "is read, and would be written over"),
         ({"unit": "mm"}, "mm", "mm", "mm/0.png is read, and would be written over"),
-        (
-            {"transform": {"water": "II"}},
-            "depth",
-            "out",
-            "transform must be a uwaug.RandomUnderwater",
-        ),
+        ({"transform": {"water": "II"}}, "depth", "out", "must be a uwaug.RandomUnderwater"),
         ({"unit": "inch"}, "depth", "out", "unit must be one of m, cm, mm"),
         ({"variants": 0}, "depth", "out", "variants must be 1 or more"),
         ({"min_contrast": 2}, "depth", "out", "min_contrast must be in"),
