@@ -91,7 +91,7 @@ def _at_once(
     spans: Sequence[tuple[float, float, float]],
     color_space: ColorSpace,
 ) -> Tensor:
-    """Form pictures by daylight, without a look at their values."""
+    """Form all pictures by daylight at once, without reading their values on the host."""
     medium, development = Medium.stack(media), Development.stack(developments, z)
     grey = _of_grey(medium, developments, spans)
     plans = _plans([grey[i] for i in range(len(spans))], spans, z)
