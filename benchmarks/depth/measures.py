@@ -132,8 +132,6 @@ def milliseconds(side: int, rounds: int = 30) -> float:
     return float(np.median(spent))
 
 
-
-
 def ways() -> dict[str, tuple[Way, int]]:
     """Ways to make up maps, and the number of draws of each picture, by name."""
     return {

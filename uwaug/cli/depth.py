@@ -23,9 +23,7 @@ def depth(
             metavar="PATH|NAME",
         ),
     ] = "depth-anything-v2-small",
-    revision: Annotated[
-        str | None, typer.Option(help="Commit, branch or tag on the hub.")
-    ] = None,
+    revision: Annotated[str | None, typer.Option(help="Commit, branch or tag on the hub.")] = None,
     holds: Annotated[
         str,
         typer.Option(

@@ -70,7 +70,8 @@ def decoded(features: list[Tensor], convolve: Convolve) -> Tensor:
     for level, feature in enumerate(features):
         count, _, height, width = feature.shape
         rows, columns = (
-            torch.linspace(-1, 1, side, dtype=feature.dtype) for side in (height, width)
+            torch.linspace(-1, 1, side, dtype=feature.dtype, device=feature.device)
+            for side in (height, width)
         )
         down = rows[:, None].expand(count, 1, height, width)
         across = columns.expand(count, 1, height, width)
@@ -111,9 +112,10 @@ def layers_of(weights: Weights) -> Convolve:
 
 @torch.no_grad()
 def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
-    """Guess the logarithm of the distance of a picture (3xHxW, sRGB in 0…1), up to scale and shift,
-    and the probability that a place is open: sky, water, a plain backdrop. Both have half its
-    sides. The network is asked both ways round, so that a mirrored picture gets mirrored maps.
+    """Guess distances of a picture (3xHxW, sRGB in 0…1). A mirrored picture gets them mirrored.
+
+    Returns (H/2xW/2 each): logarithms of distance, up to scale and shift; and the probability of open
+    water, sky or a plain backdrop.
     """
     ways = torch.stack([picture, picture.flip(2)]).contiguous(memory_format=torch.channels_last)
     convolve = layers_of(weights)

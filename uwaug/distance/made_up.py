@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
+from scipy import ndimage
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
@@ -26,7 +27,7 @@ distance, and not that this network is right.
 """
 
 _LEAST_OPEN_SHARE = 0.03
-"""Least share of a picture that is surely open water, where there is any."""
+"""Least share of a picture that is surely open water, where there is any, and of each patch."""
 
 _SURE, _OPEN_FROM, _OPEN_TO = 0.7, 0.4, 0.6
 """Probabilities from which open water is sure, begins around a sure place, and is whole there."""
@@ -111,6 +112,9 @@ def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
     """
     height, width = log.shape
     openness = np.clip((is_open - _OPEN_FROM) / (_OPEN_TO - _OPEN_FROM), 0, 1)
+    patches, _ = ndimage.label(openness > 0)
+    shares = np.bincount(patches.ravel()) / patches.size
+    openness[shares[patches] < _LEAST_OPEN_SHARE] = 0
     closed = rng.uniform() > _OPEN_PROBABILITY or (is_open > _SURE).mean() < _LEAST_OPEN_SHARE
     if closed or openness.min() > 0:  # such as a blue wall
         openness = np.zeros_like(log)
