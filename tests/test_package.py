@@ -5,12 +5,13 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 import yaml
 
 import uwaug
@@ -19,6 +20,7 @@ ROOT = Path(__file__).parent.parent
 FOUND = {module.name for module in pkgutil.walk_packages(uwaug.__path__, "uwaug.")}
 GUIDES = [ROOT / "README.md", *sorted(ROOT.glob("[!.]*/**/*.md"))]
 COPIED_FIRST = [ROOT / "README.md", ROOT / "uwaug" / "GUIDE.md"]
+FEW_TYPES = ("1C", "3C", "5C", "7C")  # to fit each takes a second
 MODULES = sorted({"uwaug"} | {name for name in FOUND if not name.endswith("__main__")})
 HEAVY = (
     "albumentations",
@@ -96,11 +98,8 @@ def test_the_face_shows_what_its_stub_names() -> None:
         assert getattr(uwaug, name) is not None
 
 
-def test_version_is_a_release() -> None:
+def test_version_is_a_release_and_cited() -> None:
     assert re.fullmatch(r"\d+\.\d+\.\d+", uwaug.__version__)
-
-
-def test_it_is_cited_by_its_version() -> None:
     citation = yaml.safe_load((ROOT / "uwaug" / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["version"] == uwaug.__version__
 
@@ -124,6 +123,7 @@ def test_examples_in_docstrings_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torchvision: Any
 ) -> None:
     monkeypatch.chdir(tmp_path)  # and deepinv imports torchvision
+    monkeypatch.setattr("uwaug.fitting.jerlov.JERLOV_TYPES", FEW_TYPES)
     assert doctest.testmod(importlib.import_module(name)).failed == 0
 
 
@@ -140,23 +140,6 @@ def test_every_public_function_says_what_it_does() -> None:
     assert [n for n in functions if not (getattr(uwaug, n).__doc__ or "").strip()] == []
 
 
-@pytest.fixture(scope="module")
-def exported_once() -> Callable[..., Path]:
-    """`export_onnx`, which writes the file of a module that two guides export from memory."""
-    from uwaug.onnx import export_onnx
-
-    files: dict[tuple[str, str], bytes] = {}
-
-    def export(module: uwaug.Underwater, path: str, **options: Any) -> Path:
-        key = repr(module), repr(options)
-        if key not in files:
-            files[key] = export_onnx(module, path, **options).read_bytes()
-        Path(path).write_bytes(files[key])
-        return Path(path)
-
-    return export
-
-
 def blocks_of(guide: Path, folder: Path) -> Iterator[tuple[str, Path]]:
     """Each Python block of a guide, with an empty folder for it."""
     text = guide.read_text(encoding="utf-8")
@@ -167,15 +150,33 @@ def blocks_of(guide: Path, folder: Path) -> Iterator[tuple[str, Path]]:
         yield block, own
 
 
-@pytest.mark.parametrize("guide", COPIED_FIRST, ids=lambda path: path.name)
-def test_blocks_that_are_copied_first_run_in_a_new_process(guide: Path, tmp_path: Path) -> None:
-    ran = 0
-    for block, folder in blocks_of(guide, tmp_path):
-        command = [sys.executable, "-c", block]
-        done = subprocess.run(command, check=False, cwd=folder, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        ran += 1
-    assert ran > 0
+IN_NEW_PROCESSES = f"""
+import os, sys
+import torch
+from uwaug.fitting import jerlov
+
+jerlov.JERLOV_TYPES = {FEW_TYPES}
+for folder in sys.argv[1:]:
+    if os.fork() == 0:
+        os.chdir(folder)
+        exec(open("block.py", encoding="utf-8").read(), {{"__name__": "__main__"}})
+        sys.exit()
+    if os.wait()[1]:
+        sys.exit(folder + "/block.py failed")
+"""
+
+
+def test_blocks_that_are_copied_first_run_each_in_a_new_process(tmp_path: Path) -> None:
+    folders = []
+    for guide in COPIED_FIRST:
+        (tmp_path / guide.name).mkdir()
+        for block, folder in blocks_of(guide, tmp_path / guide.name):
+            (folder / "block.py").write_text(block, encoding="utf-8")
+            folders.append(str(folder))
+    assert len(folders) == 5
+    command = [sys.executable, "-c", IN_NEW_PROCESSES, *folders]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(
@@ -184,11 +185,20 @@ def test_blocks_that_are_copied_first_run_in_a_new_process(guide: Path, tmp_path
     ids=lambda path: str(path.relative_to(ROOT)),
 )
 def test_each_block_of_a_guide_runs_alone(
-    guide: Path, exported_once: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(uwaug.onnx, "export_onnx", exported_once)
+    from uwaug.onnx import export_onnx
+
+    def exported(module: uwaug.Underwater, path: str) -> Path:
+        module.tolerance = 0.1  # few blurs, as to export each takes a second
+        module._plan_anew()
+        return export_onnx(module, path)
+
+    monkeypatch.setattr(uwaug.onnx, "export_onnx", exported)
+    monkeypatch.setattr("uwaug.fitting.jerlov.JERLOV_TYPES", FEW_TYPES)
     for block, folder in blocks_of(guide, tmp_path):
         monkeypatch.chdir(folder)
+        torch.manual_seed(0)  # as many draw their pictures
         exec(compile(block, str(guide.relative_to(ROOT)), "exec"), {"__name__": "readme"})
 
 

@@ -13,10 +13,10 @@ import kornia
 import numpy as np
 import torch
 import torch.nn.functional as F
-from referees import published as recipe
 from referees.conditions import FARTHEST, Case, Method, sampled_parameter, spread
 from torch import Tensor
 
+from benchmarks import recipe
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import mixed, node_weights
 

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from referees.exact import blur_exact, exact_exponential
 from torch import Tensor
 
 import uwaug
+from benchmarks.exact import blur_exact, exact_exponential
 from benchmarks.harness import command, motorcycle, race, save, use_threads
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.formation.colour import srgb_to_linear

@@ -1,6 +1,6 @@
 """Ways to blur every pixel with a width of its own, for the frontier.
 
-All but `published.binned_blur` mirror the image at its edges. Tensors are planar, (1, C, H, W);
+All but `recipe.binned_blur` mirror the image at its edges. Tensors are planar, (1, C, H, W);
 arrays are (H, W, C), as OpenCV, SciPy and scikit-image take them.
 """
 
@@ -12,9 +12,9 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from referees.exact import blur_exact
 from torch import Tensor
 
+from benchmarks.exact import blur_exact
 from uwaug.blur.kernels import reflect
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, mixed, node_weights

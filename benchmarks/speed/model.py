@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from referees import published
-from referees.exact import blur_exact
 from torch import Tensor
 
 import uwaug
+from benchmarks import recipe
+from benchmarks.exact import blur_exact
 from benchmarks.harness import (
     DISTANCES,
     WIDEST,
@@ -77,15 +77,15 @@ def _contestants(water: str, size: int, batch: int) -> dict[str, Callable[[], ob
     degrade.demand = replace(degrade.demand, blur_tolerance=0.002)
     arrays = list(zip(*map(_arrays, (image, distance, field)), strict=True))
     phi = WIDEST / DISTANCES[1]
-    bands = published.bands(water, phi)
-    channels = published.three_wavelengths(water)
+    bands = recipe.bands(water, phi)
+    channels = recipe.three_wavelengths(water)
     channels = {name: value.float() for name, value in channels.items()}
     return {
         "uwaug": lambda: degrade(image, distance, field),
         "uwaug, default": lambda: default(image, distance, field),
         "uwaug, loops": partial(by_loops(default), image, distance, field),
-        "published, OpenCV": lambda: [published.published(*x, bands) for x in arrays],
-        "naive kornia": lambda: published.naive_kornia(image, distance, field, channels, phi),
+        "published, OpenCV": lambda: [recipe.published(*x, bands) for x in arrays],
+        "naive kornia": lambda: recipe.naive_kornia(image, distance, field, channels, phi),
     }
 
 

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from referees import published
 from torch import Tensor
 
 import uwaug
+from benchmarks import recipe
 from benchmarks.harness import (
     DISTANCES,
     WIDEST,
@@ -117,7 +117,7 @@ def blur_contest(size: int, widest: float) -> Contest:
         methods[f"{n} linear bins, OpenCV"] = partial(blurs.linear_bins, planes, widths, n)
     methods["16 hard bins, scipy"] = partial(binned, 16, blurs.scipy_gaussian)
     methods["16 hard bins, skimage"] = partial(binned, 16, blurs.skimage_gaussian)
-    methods["published, 30 bins 15×15"] = partial(published.binned_blur, planes, widths)
+    methods["published, 30 bins 15×15"] = partial(recipe.binned_blur, planes, widths)
     methods["two 1-D passes"] = partial(blurs.two_passes, c.image, c.sigma)
     return Contest(c, methods, BLUR, blurs=True)
 
@@ -168,9 +168,9 @@ def spectra_contest(size: int, water: str) -> Contest:
     ours = f"ours, default ({default})"
     media[ours] = c.medium
     del media[default]  # the first tolerance that gave as many
-    media["7 bands"] = banded_medium(water, published.WAVELENGTHS)
+    media["7 bands"] = banded_medium(water, recipe.WAVELENGTHS)
     media["61 bands"] = bands = water_medium(water, tolerance=0.0)
-    three = published.three_wavelengths(water)
+    three = recipe.three_wavelengths(water)
     media["3 wavelengths"] = Medium.from_coefficients(**three)
     methods: dict[str, Method] = {}
     for name, medium in media.items():
@@ -244,13 +244,13 @@ def forward_and_backward(model: Model, c: Case) -> Tensor:
 
 def naive(image: Tensor, z: Tensor) -> Tensor:
     """The recipe as one writes it with kornia: three wavelengths, 30 hard bins, source order."""
-    three = published.three_wavelengths("7C")
+    three = recipe.three_wavelengths("7C")
     channels = {name: value.float() for name, value in three.items()}
     field, phi = torch.ones_like(z), WIDEST / DISTANCES[1]
     with warnings.catch_warnings():
         # it reads the ends of its bins from tensors that record gradients
         warnings.simplefilter("ignore")
-        return published.naive_kornia(image, z, field, channels, phi)
+        return recipe.naive_kornia(image, z, field, channels, phi)
 
 
 def exported(degrade: uwaug.Underwater, threads: int) -> Model:

@@ -14,11 +14,11 @@ import albumentations
 import kornia
 import numpy as np
 import torch
-from referees import published
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 import uwaug
+from benchmarks import recipe
 from benchmarks.harness import command, loops, printed, race, save, scene, use_threads
 from uwaug.distance import Metres
 
@@ -34,14 +34,14 @@ class Recipe:
     """The published recipe with a water and a field of its own for each picture."""
 
     def __init__(self) -> None:
-        self.bands = [published.bands(name) for name in uwaug.JERLOV_TYPES[1:]]
+        self.bands = [recipe.bands(name) for name in uwaug.JERLOV_TYPES[1:]]
 
     def __call__(self, image: Tensor, distance: Tensor) -> Tensor:
         """Degrade a picture; sRGB values are taken for light."""
         rng = np.random.default_rng(int(torch.randint(2**32, ())))
         bands = self.bands[rng.integers(len(self.bands))]
         picture, z = image.permute(1, 2, 0).contiguous().numpy(), distance[0].numpy()
-        result = published.published(picture, z, published.field(*z.shape, rng), bands)
+        result = recipe.published(picture, z, recipe.field(*z.shape, rng), bands)
         return torch.from_numpy(result).permute(2, 0, 1).contiguous()
 
 

@@ -5,10 +5,10 @@ import pytest
 import torch
 from referees import blur as referee
 from referees import reference
-from referees.exact import blur_exact
 from scenes import SIZES, rand
 from scipy.ndimage import gaussian_filter
 
+from benchmarks.exact import blur_exact
 from uwaug import Camera, Medium, PointSpread, Water, form_image
 from uwaug.blur.kernels import sampled_parameter
 

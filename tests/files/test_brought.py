@@ -34,11 +34,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def save_exr(path: str, **channels: Any) -> str:
-    """Write channels, of whose names __ stands for a dot."""
+def save_exr(path: str, layers: dict[str, Any]) -> str:
     exr = pytest.importorskip("OpenEXR")
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    layers = {name.replace("__", "."): values for name, values in channels.items()}
     exr.File({"type": exr.scanlineimage}, layers).write(path)
     return path
 
@@ -87,73 +85,18 @@ def test_a_map_is_no_picture() -> None:
     with pytest.raises(ValueError, match=r"a\.npy: one channel of floating point is a map"):
         read_picture("a.npy")
     with pytest.raises(ValueError, match=r"a\.exr: .*expected one layer of RGB, got Z"):
-        read_picture(save_exr("a.exr", Z=Z))
+        read_picture(save_exr("a.exr", {"Z": Z}))
 
 
 LIGHT = srgb_to_linear(torch.from_numpy(pixels(H, W) / np.float32(255))).numpy()
-VECTOR = {"X": Z, "Y": Z, "Z": Z / 9}
-
-
-@pytest.mark.parametrize(
-    "layers, layer",
-    [
-        ({"Depth.Z": Z, "Denoising Depth.Z": Z / 2}, Z),
-        ({"Depth.Z": Z, **{f"Normal.{axis}": values for axis, values in VECTOR.items()}}, Z),
-        ({f"Position.{axis}": values for axis, values in VECTOR.items()}, None),
-    ],
-)
-def test_distances_among_the_layers_of_a_render(layers: dict[str, Any], layer: Any) -> None:
-    save_exr("a.exr", RGB=LIGHT, **{f"View.{name}": values for name, values in layers.items()})
-    if layer is None:
-        with pytest.raises(ValueError, match="expected one layer of Z, got RGB, View"):
-            read_distance("a.exr")
-    else:
-        assert torch.equal(read_distance("a.exr"), torch.from_numpy(layer)[None])
 
 
 def test_layers_of_colour_that_may_be_the_picture_are_refused() -> None:
-    save_exr("a.exr", albedo=LIGHT / 2, beauty=LIGHT, Z=Z)
+    save_exr("a.exr", {"albedo": LIGHT / 2, "beauty": LIGHT, "Z": Z})
     with pytest.raises(ValueError, match="expected one layer of RGB, got Z, albedo, beauty"):
         read_picture("a.exr")
-    save_exr("b.exr", **{"Background.Combined": LIGHT / 2, "Composite.Combined": LIGHT, "Z": Z})
+    save_exr("b.exr", {"Background.Combined": LIGHT / 2, "Composite.Combined": LIGHT, "Z": Z})
     assert torch.equal(read_picture("b.exr", "linear"), torch.from_numpy(LIGHT).permute(2, 0, 1))
-
-
-def test_bits_that_are_not_used_are_told(run: Run) -> None:
-    words = pixels(H, W).astype(np.uint16)
-    save("photos/a.png", 16 * words)  # 12 bits
-    save("photos/b.png", 257 * words)
-    save("photos/c.png", pixels(H, W) // 20)  # dark, but of 8 bits
-    code, out, _ = run("degrade", "photos", "--distance", "2", "--out", "wet", "--workers", "1")
-    assert code == 0
-    assert "1 pictures, such as a.png, of 16 bits, reach less than 1/8 of white" in out
-
-
-def test_zeros_of_a_map_that_nobody_looked_at_before_are_told(run: Run) -> None:
-    for number in range(20):
-        save(f"photos/{number:02}.png", pixels(H, W))
-        inverse = np.linspace(0.3, 1, H * W, dtype=np.float32).reshape(H, W)
-        inverse[:3, :5] = 0 if number == 4 else inverse[:3, :5]
-        save(f"maps/{number:02}.npy", inverse)
-    flags = ("--distance", "maps", "--set", "distance.kind=Inverse", "--workers", "1")
-    code, out, _ = run("degrade", "photos", *flags, "--out", "wet")
-    assert code == 0
-    assert "1 pictures, such as 04.png, have maps with 0" in out
-    assert (
-        "have maps with 0"
-        not in run("degrade", "photos", *flags, "--holes", "far", "--out", "2")[1]
-    )
-    code, out, _ = run("degrade", "photos", *flags, "--sequence", "--out", "film")
-    assert "each frame's map is stretched from near to far on its own" in out
-
-
-def test_grey_pictures_are_told_of(run: Run) -> None:
-    save("photos/a.png", pixels(H, W))
-    save("photos/b.png", GREY)
-    code, out, _ = run("degrade", "photos", "--distance", "2", "--out", "wet", "--workers", "1")
-    assert code == 0
-    assert "1 of 2 pictures looked at are grey, such as b.png: R = G = B" in out
-    assert np.asarray(Image.open("wet/b.png")).shape == (H, W, 3)
 
 
 # Linear light
@@ -169,7 +112,7 @@ def exr_pixels(path: str) -> Any:
 
 def test_an_exr_stays_linear_light() -> None:
     bright = 4 * LIGHT
-    items = find_items(Path(save_exr("a.exr", RGB=bright)).resolve())
+    items = find_items(Path(save_exr("a.exr", {"RGB": bright})).resolve())
     degrade(RECIPE, items, "wet.exr")
     record = read_record(Path("wet.exr.json"))
     assert record["color_space"] == "linear"
@@ -189,7 +132,7 @@ def test_an_exr_stays_linear_light() -> None:
 
 def test_light_and_coded_pictures_become_each_other() -> None:
     save("a.png", pixels(H, W))
-    save_exr("light/a.exr", RGB=LIGHT)
+    save_exr("light/a.exr", {"RGB": LIGHT})
     assert (read_picture("light/a.exr") - read_picture("a.png") / 255).abs().max() < 1e-6
     degrade(RECIPE, find_items("a.png"), "wet.exr")
     degrade(RECIPE, find_items("a.png"), "wet.png")
@@ -199,9 +142,9 @@ def test_light_and_coded_pictures_become_each_other() -> None:
 
 def test_a_folder_of_a_renderer() -> None:
     for name in "ab":
-        save_exr(f"render/{name}.exr", RGBA=opaque(LIGHT).clip(0, 1), Z=Z)
-        save_exr(f"depth/{name}.exr", V=Z)
-        save_exr(f"apart/{name}.exr", RGB=LIGHT)
+        save_exr(f"render/{name}.exr", {"RGBA": opaque(LIGHT).clip(0, 1), "Z": Z})
+        save_exr(f"depth/{name}.exr", {"V": Z})
+        save_exr(f"apart/{name}.exr", {"RGB": LIGHT})
     recipe = Recipe(RandomUnderwater(WATER))
     degrade(recipe, find_items("render", "render"), "own")
     degrade(recipe, find_items("apart", "depth"), "other")
@@ -209,7 +152,7 @@ def test_a_folder_of_a_renderer() -> None:
         assert torch.equal(exr_pixels(f"own/{name}.exr"), exr_pixels(f"other/{name}.exr"))
     # maps beside pictures are none
     save("render/c.png", pixels(H, W))
-    save_exr("render/c_depth.exr", V=Z)
+    save_exr("render/c_depth.exr", {"V": Z})
     assert [item.name for item in find_items("render")] == ["a.exr", "b.exr", "c.png"]
     with pytest.raises(ValueError, match="no pictures in depth"):
         find_items("depth")
@@ -273,6 +216,9 @@ def test_wide_numbers_have_no_white() -> None:
         assert torch.equal(z[0], torch.from_numpy(values).float())
 
 
+NORMAL = {"X": Z, "Y": Z, "Z": Z / 9}
+
+
 @pytest.mark.parametrize(
     "layers",
     [
@@ -280,130 +226,139 @@ def test_wide_numbers_have_no_white() -> None:
         {"Z": Z, "mask": 0 * Z},
         {"V": Z},
         {"RGB": np.repeat(Z[..., None], 3, 2)},
-        {"ViewLayer__Combined__R": 0 * Z, "ViewLayer__Depth__Z": Z, "ViewLayer__Normal__Z": 0 * Z},
-        {"RGBA": opaque(LIGHT), "Depth__V": Z},
+        {"RGBA": opaque(LIGHT), "Depth.V": Z},
+        {"View.Combined.R": 0 * Z, "View.Depth.Z": Z, "View.Normal.Z": 0 * Z},
+        {"RGB": LIGHT, "View.Depth.Z": Z, "View.Denoising Depth.Z": Z / 2},
+        {"RGB": LIGHT, "Depth.Z": Z, **{f"Normal.{axis}": of for axis, of in NORMAL.items()}},
     ],
 )
 def test_distances_of_renderers(layers: dict[str, Any]) -> None:
-    assert torch.equal(read_distance(save_exr("z.exr", **layers)), torch.from_numpy(Z)[None])
+    assert torch.equal(read_distance(save_exr("z.exr", layers)), torch.from_numpy(Z)[None])
+
+
+def test_a_vector_is_no_distance() -> None:
+    layers = {"RGB": LIGHT, **{f"View.Position.{axis}": of for axis, of in NORMAL.items()}}
+    with pytest.raises(ValueError, match="expected one layer of Z, got RGB, View"):
+        read_distance(save_exr("z.exr", layers))
 
 
 def test_colours_of_renderers() -> None:
-    bands = {f"ViewLayer__Combined__{c}": LIGHT[..., k].copy() for k, c in enumerate("RGB")}
-    normal = {f"ViewLayer__Normal__{c}": 0 * Z for c in "XYZ"}
-    path = save_exr("a.exr", **normal, **bands, ViewLayer__Depth__Z=Z)
+    bands = {f"View.Combined.{c}": LIGHT[..., k].copy() for k, c in enumerate("RGB")}
+    normal = {f"View.Normal.{c}": 0 * Z for c in "XYZ"}
+    path = save_exr("a.exr", {**normal, **bands, "View.Depth.Z": Z})
     assert torch.equal(exr_pixels(path), torch.from_numpy(LIGHT).permute(2, 0, 1))
 
 
-def test_advice_ends_at_the_right_maps(run: Run) -> None:
-    """Maps that are stretched over 16 bits, and those in mm with an unknown 65535."""
-    far = np.rint(65535 * (Z - Z.min()) / np.ptp(Z)).astype(np.uint16)
-    mm = np.where(GREY > 240, 65535, np.rint(1000 * Z)).astype(np.uint16)
-    for name in "abcd":
-        save(f"photos/{name}.png", pixels(H, W))
-        save(f"far/{name}.png", far)
-        save(f"mm/{name}.png", mm)
-        save(f"nought/{name}.png", np.where(GREY > 240, 0, mm))
-    flags = ("--workers", "1", "--out")
-    code, _, err = run("degrade", "photos", "--distance", "far", *flags, "wet")
-    assert code == 1
-    assert "relative distances do: --set distance.kind=Inverse where large is near" in err
-    code, _, err = run("degrade", "photos", "--distance", "far", "--unit", "mm", *flags, "wet")
-    assert code == 1
-    assert "if they are relative, 0…1" in err
-    code, _, err = run("degrade", "photos", "--distance", "mm", *flags, "wet")
-    assert (code, "is the unit mm (--unit mm)?" in err, "distance.kind" in err) == (1, True, False)
-    code, _, err = run("degrade", "photos", "--distance", "mm", "--unit", "mm", *flags, "wet")
-    assert (code, "--holes behind" in err) == (1, True)
-    holes = ("--unit", "mm", "--holes", "behind", *flags)
-    assert run("degrade", "photos", "--distance", "mm", *holes, "wet")[0] == 0
-    assert run("degrade", "photos", "--distance", "nought", *holes, "other")[0] == 0
-    assert same("wet", "other")
+# What is said before and after a run
 
 
-def plane(number: int) -> Any:
-    """The disparity of a floor, 96x128 px; of each picture another."""
-    return np.linspace(12, 30 + number, 96, dtype=np.float32)[:, None] + np.zeros((96, 128), "f")
+MM, FAR = np.rint(1000 * Z).astype(np.uint16), (Z - Z.min()) / np.ptp(Z)
+INVERSE = np.linspace(0.3, 1, H * W, dtype=np.float32).reshape(H, W)
+ZEROS = np.pad(np.zeros((3, 5), bool), ((0, H - 3), (0, W - 5)), constant_values=True)
+DISPARITY = np.rint(16 * np.linspace(12, 30, 96)[:, None] + np.zeros((96, 128))).astype(np.uint16)
+DISPARITY[10:20, 10:30] = 0
+MAPS = {
+    "mm.png": np.where(GREY > 240, 0, MM).astype(np.uint16),
+    "full.png": np.where(GREY > 240, 65535, MM).astype(np.uint16),
+    "far.png": np.rint(65535 * FAR).astype(np.uint16),
+    "bytes.png": np.full((H, W), 9, np.uint8),
+    "shares.npy": np.maximum(FAR, 0.01),
+    "zeros.npy": INVERSE * ZEROS,
+    "disparity.png": DISPARITY,
+}
+RELATIVE, BY_INVERSE = "--set distance.kind=Relative", "--set distance.kind=Inverse"
+FILLED = "--unit mm --holes behind"
+ADVICE: list[tuple[str, str, int, str]] = [
+    # map, flags, exit code, and what is said
+    ("mm.png", "", 1, "is the unit mm (--unit mm)?"),
+    ("mm.png", "--unit mm", 1, "--holes behind"),
+    ("mm.png", FILLED, 0, ""),
+    ("mm.png", f"{RELATIVE} --holes fill", 0, "--unit mm"),
+    ("mm.png", f"{BY_INVERSE} --holes fill", 0, "--unit mm"),
+    ("full.png", "", 1, "is the unit mm (--unit mm)?"),
+    ("full.png", "--unit mm", 1, "--holes behind"),
+    ("full.png", FILLED, 0, ""),
+    ("far.png", "", 1, "relative distances do: --set distance.kind=Inverse where large is near"),
+    ("far.png", "--unit mm", 1, "if they are relative, 0…1"),
+    ("far.png", RELATIVE, 0, ""),
+    ("far.png", f"{BY_INVERSE} --holes fill", 0, ""),
+    ("bytes.png", "", 1, "8 bits are too few"),
+    ("shares.npy", "", 0, "distances look relative, 0…1 or standardised: "),
+    ("shares.npy", RELATIVE, 0, ""),
+    (
+        "zeros.npy",
+        BY_INVERSE,
+        0,
+        "2 % of a map are 0, a gap away from all other values: unknown?",
+    ),
+    ("zeros.npy", f"{BY_INVERSE} --holes far", 0, ""),
+    ("zeros.npy", f"{BY_INVERSE} --sequence", 0, "each frame's map is stretched from near to far"),
+    # disparities are not taken for millimetres
+    ("disparity.png", BY_INVERSE, 0, "1.6 % of a map are 0, a gap away from all other values"),
+]
 
 
-def test_disparities_are_not_taken_for_millimetres(run: Run) -> None:
-    for number in range(4):
-        disparity = np.rint(16 * plane(number)).astype(np.uint16)
-        disparity[10:20, 10:30] = 0
-        save(f"photos/{number}.png", pixels(96, 128))
-        save(f"pixels/{number}.png", disparity)
-    flags = ("--set", "distance.kind=Inverse", "--workers", "1", "--out")
-    code, out, _ = run("degrade", "photos", "--distance", "pixels", *flags, "wet")
+@pytest.mark.parametrize("name, flags, ends, words", ADVICE)
+def test_advice_on_maps(run: Run, name: str, flags: str, ends: int, words: str) -> None:
+    values, (stem, end) = MAPS[name], name.split(".")
+    for number in range(2):
+        save(f"photos/{number}.png", pixels(*values.shape[:2], seed=number))
+        save(f"{stem}/{number}.{end}", np.roll(values, number, 1))
+    line = ("photos", "--distance", stem, *flags.split(), "--workers", "1", "--out", "wet")
+    code, out, err = run("degrade", *line)
+    assert code == ends, err
+    assert words in out + err
+    others = {"--unit mm", "--holes behind", "distance.kind", "look relative"}
+    others -= {other for other in others if other in words or other in flags}
+    if not words:
+        assert not any(other in out + err for other in others)
+    # a run that would refuse all of them does not begin
+    assert Path("wet").exists() == (ends == 0)
+
+
+def test_advice_is_cured_as_it_says(run: Run) -> None:
+    save("photos/a.png", pixels(H, W))
+    save("maps/a.npy", MAPS["shares.npy"])
+    said = run("degrade", "photos", "--distance", "maps", "--out", "wet")[1]
+    cure = said.partition("--set ")[2].partition(")")[0]
+    out = run("degrade", "photos", "--distance", "maps", "--set", cure, "--out", "cured")[1]
+    assert out.startswith("1 of 1 pictures")
+
+
+def test_what_stands_for_unknown_does_not_matter(run: Run) -> None:
+    save("photos/a.png", pixels(H, W))
+    for name in ("mm", "full"):
+        save(f"{name}/a.png", MAPS[f"{name}.png"])
+        line = ("photos", "--distance", name, *FILLED.split(), "--out", f"wet-{name}")
+        assert run("degrade", *line)[0] == 0
+    assert same("wet-mm", "wet-full")
+
+
+def test_what_is_odd_about_pictures_is_told(run: Run) -> None:
+    save("photos/a.png", 16 * pixels(H, W).astype(np.uint16))  # 12 bits
+    save("photos/b.png", 257 * pixels(H, W).astype(np.uint16))
+    save("photos/c.png", pixels(H, W) // 20)  # dark, but of 8 bits
+    save("photos/d.png", GREY)
+    code, out, _ = run("degrade", "photos", "--distance", "2", "--out", "wet", "--workers", "1")
     assert code == 0
-    assert "1.6 % of a map are 0, a gap away from all other values: unknown? --holes" in out
-    assert "--unit mm" not in out
+    assert "1 pictures, such as a.png, of 16 bits, reach less than 1/8 of white" in out
+    assert "1 of 4 pictures looked at are grey, such as d.png: R = G = B" in out
+    assert np.asarray(Image.open("wet/d.png")).shape == (H, W, 3)
 
 
-# Names
-
-
-@pytest.mark.parametrize(
-    "pictures, pattern, expected",
-    [
-        ("photos", "{stem}_z.png", {"a.jpg": "photos/a_z.png"}),
-        ("photos", "maps/{stem}_z.png", {"a.jpg": "maps/a_z.png", "r/b.jpg": "maps/r/b_z.png"}),
-        ("photos", "maps/{stem}_z", {"a.jpg": "maps/a_z.png", "r/b.jpg": "maps/r/b_z.png"}),
-        ("seq", "{stem:rgb=depth}.png", {"rgb_0.jpg": "seq/depth_0.png"}),
-        ("seq", "maps/{stem:rgb=depth}.png", {"rgb_0.jpg": "maps/depth_0.png"}),
-        ("set", "set/{stem:rgb=depth}.png", {"s/rgb/0.png": "set/s/depth/0.png"}),
-        ("ds", "ds/z/{stem}_z.png", {"images/train/0.png": "ds/z/train/0_z.png"}),
-    ],
-)
-def test_names_that_differ(pictures: str, pattern: str, expected: dict[str, str]) -> None:
-    for name in (
-        *("photos/a.jpg", "photos/a_z.png", "photos/r/b.jpg", "maps/a_z.png", "maps/r/b_z.png"),
-        *("seq/rgb_0.jpg", "seq/depth_0.png", "maps/depth_0.png"),
-        *("set/s/rgb/0.png", "set/s/depth/0.png", "ds/images/train/0.png", "ds/z/train/0_z.png"),
-    ):
-        Path(name).parent.mkdir(parents=True, exist_ok=True)
-        Path(name).touch()
-    for place in (pattern, str(Path.cwd() / pattern) if "/" in pattern else pattern):
-        items = {item.name: item.distance for item in find_items(pictures, place)}
-        for name, path in expected.items():
-            distance = items[name]
-            assert distance is not None
-            assert distance.resolve() == Path(path).resolve()
-        assert not any(
-            Path(pictures, name).resolve() == Path(path).resolve()
-            for name in items
-            for path in expected.values()
-        )  # maps are no pictures
-
-
-def test_maps_without_pictures_are_no_pictures_of_a_pattern() -> None:
-    for name in ("rgb_0", "depth_0", "depth_1"):
-        save(f"seq/{name}.png", pixels(H, W))
-    assert [item.name for item in find_items("seq", "{stem:rgb=depth}.png")] == ["rgb_0.png"]
-
-
-def test_names_that_begin_with_a_dot_are_none() -> None:
-    for name in ("a.png", "._a.png", ".trash/b.png", "r/.c.png"):
-        save(f"photos/{name}", pixels(H, W))
-    assert [item.name for item in find_items("photos")] == ["a.png"]
-    assert [item.name for item in find_items("photos/._a.png")] == ["._a.png"]
-
-
-@pytest.mark.parametrize(
-    "name, cure",
-    [
-        ("a.HEIC", "magick mogrify"),
-        ("a.jfif", "magick mogrify"),
-        ("a.pgm", "magick mogrify"),
-        ("a.nef", "darktable-cli"),
-        ("a.mp4", "ffmpeg -i FILM"),
-    ],
-)
-def test_other_formats_come_with_a_cure(name: str, cure: str, run: Run) -> None:
-    Path("photos").mkdir()
-    Path("photos", name).touch()
-    for source in ("photos", f"photos/{name}"):
-        code, _, err = run("degrade", source, "--out", "wet")
-        assert (code > 0, err.count("\n"), cure in err) == (True, 1, True)
+def test_zeros_of_a_map_that_nobody_looked_at_before_are_told(run: Run) -> None:
+    for number in range(20):
+        save(f"photos/{number:02}.png", pixels(H, W))
+        save(f"maps/{number:02}.npy", INVERSE * ZEROS if number == 4 else INVERSE)
+    flags = ("--distance", "maps", *BY_INVERSE.split(), "--workers", "1")
+    assert (
+        "1 pictures, such as 04.png, have maps with 0"
+        in run("degrade", "photos", *flags, "--out", "wet")[1]
+    )
+    assert (
+        "have maps with 0"
+        not in run("degrade", "photos", *flags, "--holes", "far", "--out", "far")[1]
+    )
 
 
 # Sizes
@@ -438,15 +393,6 @@ def test_metres_of_a_sky_in_files() -> None:
     for name in ("sky", "inf"):
         degrade(recipe, find_items("photos", name), f"wet-{name}")
     assert same("wet-sky", "wet-inf")
-
-
-def test_a_film_is_one_witness(run: Run) -> None:
-    for number in range(8):
-        save(f"film/{number}.png", pixels(96, 128, seed=number))
-        save(f"maps/{number}.npy", plane(number) / 10)
-    flags = ("--distance", "maps", "--workers", "1", "--out")
-    assert "look like disparity" in run("degrade", "film", *flags, "a")[1]
-    assert "look like disparity" not in run("degrade", "film", "--sequence", *flags, "b")[1]
 
 
 def test_a_picture_of_one_row() -> None:

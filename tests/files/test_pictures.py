@@ -121,11 +121,6 @@ def _png(mode: str, alpha: int = 255) -> bytes:
     return file.getvalue()
 
 
-def test_alpha_that_hides_nothing(tmp_path: Path) -> None:
-    (tmp_path / "a.png").write_bytes(_png("RGBA"))
-    assert torch.equal(read_picture(tmp_path / "a.png"), picture("uint8"))
-
-
 def _npy(values: Any) -> bytes:
     file = io.BytesIO()
     np.save(file, values, allow_pickle=True)

@@ -22,7 +22,6 @@ from filing import content, metres, pixels, save, words
 from PIL import Image
 
 from uwaug import Lamp, Light, Medium, RandomDevelopment, RandomUnderwater, RandomWater, Sensor
-from uwaug.distance import Metres, Plane, Relative
 from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_record, replay
 from uwaug.files.pool import on_processes
 from uwaug.files.record import write_record
@@ -53,90 +52,18 @@ def statuses(summary: Any) -> list[str]:
     return [result.status for result in summary.results]
 
 
-# Which pictures
-
-
-def names(*arguments: Any, **options: Any) -> dict[str, str]:
-    found = find_items(*arguments, **options)
-    return {item.name: item.distance.as_posix() if item.distance else "" for item in found}
-
-
-def test_items() -> None:
-    for place in ("deep/2.PNG", "deep/2_depth.png", "maps/2.tif", "out/1.png", "deep/notes.txt"):
-        Path("ds", place).parent.mkdir(parents=True, exist_ok=True)
-        Path("ds", place).touch()
-    assert names("ds/deep", "{stem}_depth.png") == {"2.PNG": "ds/deep/2_depth.png"}
-    with pytest.raises(ValueError, match=r"ds/maps has no map for any picture: .*ds/maps/deep/2,"):
-        find_items("ds", "ds/maps", exclude=["ds/out"])
-    Path("ds/maps/deep").mkdir()
-    Path("ds/maps/deep/2.npy").touch()
-    assert names("ds", "ds/maps", exclude=["ds/out"]) == {
-        "deep/2.PNG": "ds/maps/deep/2.npy",
-        "deep/2_depth.png": "ds/maps/deep/2_depth",  # is missing
-    }
-    assert names("ds/out/1.png", "ds/maps/2.tif") == {"1.png": "ds/maps/2.tif"}
-    assert names("ds/deep", "ds/deep/2_depth.png") == {"2.PNG": "ds/deep/2_depth.png"}
-    assert names("ds/out") == {"1.png": ""}
-    # as data sets lie
-    for place in ("images/train/1.jpg", "depth/train/1.png"):
-        Path("yolo", place).parent.mkdir(parents=True)
-        Path("yolo", place).touch()
-    assert names("yolo", "yolo/depth") == {"images/train/1.jpg": "yolo/depth/train/1.png"}
-    with pytest.raises(ValueError, match="no pictures in ds/maps/deep"):
-        find_items("ds/maps/deep")
-    with pytest.raises(FileNotFoundError):
-        find_items("nowhere")
-
-
-def test_names_that_begin_with_an_at() -> None:
-    for place in ("@home.png", "@eaDir/1.png", ".hidden.png"):
-        save(f"ats/{place}", pixels(H, W))
-    assert names("ats") == {"@home.png": ""}
-
-
-def test_a_picture_is_not_its_own_map() -> None:
-    for name in ("a_rgb.png", "a_depth.png", "b_RGB.png", "b_depth.png"):
-        Path("two").mkdir(exist_ok=True)
-        Path("two", name).touch()
-    assert names("two", "{stem:rgb=depth}.png") == {
-        "a_rgb.png": "two/a_depth.png",
-        "b_RGB.png": "two/b_RGB",  # is missing
-    }
-
-
-def test_masks_of_pascal_voc_are_no_pictures() -> None:
-    for place in ("JPEGImages/1.jpg", "SegmentationClass/1.png", "SegmentationObject/1.png"):
-        Path("voc", place).parent.mkdir(parents=True)
-        Path("voc", place).touch()
-    assert list(names("voc")) == ["JPEGImages/1.jpg"]
-    assert list(names("voc/SegmentationClass")) == ["1.png"]
-
-
-def test_links_to_folders_are_followed() -> None:
-    for place in ("store/train/1.png", "store/train/deep/2.png", "ds/images/val/3.png"):
-        Path(place).parent.mkdir(parents=True, exist_ok=True)
-        Path(place).touch()
-    Path("ds/images/train").symlink_to(Path("store/train").absolute())
-    Path("ds/test").symlink_to("images/val")  # pictures that are there twice are two
-    there = ["images/train/1.png", "images/train/deep/2.png", "images/val/3.png", "test/3.png"]
-    assert list(names("ds")) == there
-    assert list(names("ds", exclude=["store/train/deep", "ds/test"])) == ["images/train/1.png"]
-    # loops: to itself, to a folder above, and by another link
-    Path("ds/images/val/here").symlink_to(Path("ds/images/val").absolute())
-    Path("store/train/up").symlink_to(Path("ds").absolute())
-    Path("store/train/round").symlink_to(Path("ds/images").absolute())
-    assert list(names("ds")) == there
-
-
 def test_what_a_run_has_written_is_no_picture_of_the_next() -> None:
+    def names() -> list[str]:
+        return [item.name for item in find_items("all")]
+
     degrade(RECIPE, items(), "all/under", sheet=True)
-    assert list(names("all")) == [f"{number}.png" for number in range(4)]
+    assert names() == [f"{number}.png" for number in range(4)]
     save("all/under/labels/0.png", pixels())  # masks have no record
-    assert list(names("all")) == [f"{number}.png" for number in range(4)]
+    assert names() == [f"{number}.png" for number in range(4)]
     # beside another index a sheet is a picture
     save("all/sheet.jpg", pixels())
     Path("all/index.csv").write_text("name,species\n")
-    assert "sheet.jpg" in names("all")
+    assert "sheet.jpg" in names()
 
 
 # What is written
@@ -278,13 +205,9 @@ def test_a_film_is_not_settled_on_a_frame_that_has_changed() -> None:
     assert "1.png was made with another picture and frame" in kept.failures[1]
 
 
-def test_blank_pictures_are_told_of() -> None:
-    save("depth/1.npy", 20 * metres(H, W))
-    assert degrade(Recipe(WATER), items(), "out").blank == ["1.png"]
-
-
 def test_odd_scenes_are_told_of() -> None:
     save("depth/1.npy", 50 * metres(H, W))
+    assert degrade(Recipe(WATER), items(), "blank").blank == ["1.png"]
     recipe = Recipe(RandomUnderwater(RandomWater(contrast=0.4)))
     summary = degrade(recipe, items(), "out")
     (odd,) = summary.odd
@@ -330,30 +253,6 @@ def test_one_picture_into_a_file() -> None:
     assert statuses(degrade(RECIPE, items()[:1], "under.png", resume=True)) == ["skipped"]
     with pytest.raises(ValueError, match="is a file, which is for one picture"):
         degrade(RECIPE, items(), "all.png")
-
-
-def test_maps_of_other_kinds() -> None:
-    shares = np.linspace(0, 65535, H * W).reshape(H, W).astype(np.uint16)
-    save("shares.png", shares)
-    save("metres.npy", 1 + 4 * shares.astype(np.float32) / 65535)
-    save("cm.npy", 100 * (1 + 4 * shares.astype(np.float32) / 65535))
-    made = []
-    for maps, unit, distance in (
-        ("metres.npy", "m", Metres()),
-        ("cm.npy", "cm", Metres()),
-        ("shares.png", "m", Relative(1.0, 5.0)),
-        (None, "m", Plane(3.0)),
-    ):
-        transform = RandomUnderwater(
-            RandomWater("II", contrast=None, field=None), distance=distance
-        )
-        recipe = Recipe(transform, unit=unit)
-        degrade(recipe, find_items("all/0.png", maps), f"{len(made)}.png")
-        made.append(read_picture(f"{len(made)}.png").int())
-    differences = [int((one - made[0]).abs().max()) for one in made[1:]]
-    assert differences[0] <= 1
-    assert differences[1] <= 1
-    assert differences[2] > 10
 
 
 def test_labels() -> None:
@@ -548,12 +447,8 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
         ({"labels": "coco.json"}, "depth", "out", "belong to no .* no image has the file_name 0"),
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
         ({}, "depth", "all", "is read, and would be written over"),
-        (
-            {"transform": {"water": "II"}},
-            "depth",
-            "out",
-            "transform must be a uwaug.RandomUnderwater",
-        ),
+        ({"unit": "mm"}, "mm", "mm", "mm/0.png is read, and would be written over"),
+        ({"transform": {"water": "II"}}, "depth", "out", "must be a uwaug.RandomUnderwater"),
         ({"unit": "inch"}, "depth", "out", "unit must be one of m, cm, mm"),
         ({"variants": 0}, "depth", "out", "variants must be 1 or more"),
         ({"min_contrast": 2}, "depth", "out", "min_contrast must be in"),
@@ -565,6 +460,7 @@ def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: 
     Path("other/9.txt").write_text("0 .5 .5 1 1")
     coco = {"images": [{"id": 1, "file_name": "9.png"}], "annotations": []}
     Path("coco.json").write_text(json.dumps(coco))
+    save("mm/0.png", (1000 * metres(H, W)).astype(np.uint16))
     if options.get("labels") == "labels":
         save("all/0.tif", pixels(H, W))
         save("labels/0.png", pixels()[..., 0])

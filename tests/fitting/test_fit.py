@@ -45,7 +45,7 @@ def test_the_medium_makes_the_observed_picture(surfaces):
     law = uwaug.PointSpread.calibrated(0.866 * 105)
     options = {"vertical_depth": 4.0, "g": 0.05, "surfaces": surfaces, "point_spread": law}
     observed = uwaug.Underwater(uwaug.Medium.from_water("3C", **options))(clean, z)
-    fit = uwaug.fit(clean, observed, z, pixels=3000)
+    fit = uwaug.fit(clean, observed, z, pixels=1500)
     again = uwaug.Underwater(fit.medium)(clean, z)
     assert (again.double() - observed.double()).abs().mean() < 1
     # daylight that is lost is the medium's, and V(0) is that of the picture
@@ -217,9 +217,8 @@ def hazed(noise=0.0, size=1.0):
 SET = {"beta": (0.288, 0.122, 0.134), "veil": (0.10, 0.45, 0.55)}
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-@pytest.mark.parametrize("model", ["auto", "haze"])
-def test_a_haze_of_encoded_values_is_told(noise, model):
+@pytest.mark.parametrize("model, noise", [("haze", 0.0), ("haze", 0.01), ("auto", 0.01)])
+def test_a_haze_of_encoded_values_is_told(model, noise):
     """Rates of .515, .162 and .153 came out, with errors of .006."""
     pictures = hazed(noise)
     fit = uwaug.fit(*pictures, model=model, pixels=2000)

@@ -76,22 +76,6 @@ def test_lights_add(medium: Medium) -> None:
         torch.testing.assert_close(found, torch.stack([part[n] for part in parts]).sum(0))
 
 
-def test_a_lamp_on_a_wall() -> None:
-    """One point by hand: inverse square, both ways, no scattering."""
-    a = torch.tensor([0.5, 0.2, 0.1], dtype=torch.float64)
-    medium = Medium.from_coefficients(a, a, (0.0,) * 3)
-    light = Light((Lamp((1.0, 0.0, 0.0), 4.0, color=(1.0, 0.9, 0.8)),), daylight=0.0)
-    image, z = wall(2.0)
-    found = form_image(image, z, medium, light=light)
-    squared = 1 + 4 + 0.03**2
-    share = 4.0 / squared
-    colour = torch.tensor([1.0, 0.9, 0.8], dtype=torch.float64)
-    wanted = share * colour * torch.exp(-a * (2 + math.sqrt(squared)))
-    torch.testing.assert_close(found.direct[0, :, 5, 7], wanted)
-    assert float(found.forward.abs().max()) < 1e-15
-    assert not found.backscatter.any()
-
-
 def test_what_arrives_is_the_spectral_integral() -> None:
     """Direct and forward together of a white wall: ∫ S_c·e^(−G(r + z)) dλ times 1/r²."""
     medium = Medium.from_water("7C", vertical_depth=40.0, tolerance=1e-6)
@@ -103,31 +87,6 @@ def test_what_arrives_is_the_spectral_integral() -> None:
     wanted = torch.from_numpy(4.0 / far**2 * bands.response @ np.exp(-bands.G * (2 + far)))
     found = (terms.direct + terms.forward)[0, :, 5, 7]
     torch.testing.assert_close(found, wanted, rtol=0, atol=2e-6)
-
-
-def test_a_far_lamp_is_uniform_light() -> None:
-    """On a wall that faces it, in clear water, whose daylight has the lamp's power."""
-    clear = Medium.from_coefficients((1e-9,) * 3, (1e-9,) * 3, (0.0,) * 3)
-    _, z = wall(2.0)
-    far = 5e3
-    found = Light((Lamp((0, 0, -far), far**2),), daylight=0.0).curves(clear, z)
-    torch.testing.assert_close(found.direct, clear.curves(z).direct, rtol=2e-3, atol=0)
-
-
-def test_a_cone_has_a_soft_edge() -> None:
-    """Full light up to half of its angle, and none beyond all of it."""
-    image, z = wall(2.0, 33, 45)
-    plain, coned = (
-        Light((Lamp((0.0, 0.0, 0.0), cone=cone),), daylight=0.0).curves(MEDIUM, z).direct
-        for cone in (None, 20.0)
-    )
-    angle = torch.rad2deg(torch.acos(Rays.of(image, VIEW).shortening))
-    share = (coned / plain)[0, 0]
-    inside, outside = angle[0, 0] < 10, angle[0, 0] > 20
-    torch.testing.assert_close(share[inside], torch.ones_like(share[inside]))
-    assert not share[outside].any()
-    edge = share[~inside & ~outside]
-    assert 0 < edge.min() < 0.1 < 0.9 < edge.max() < 1
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -294,10 +253,10 @@ def test_objects_are_judged_under_their_light() -> None:
     assert left[12:28, 50:59].mean() < 0.1 * left[12:28, 2:14].mean()
 
 
-@pytest.mark.parametrize("exposure", [Development(), Development(metered=True)])
-def test_modules_take_a_light(exposure: Development) -> None:
+def test_modules_take_a_light() -> None:
     image, z = scene()
-    module = Underwater(SPECTRAL, light=Light((BESIDE,), 0.2), development=exposure)
+    light = Light((BESIDE,), 0.2)
+    module = Underwater(SPECTRAL, light=light, development=Development(metered=True))
     found = module(image.float(), z.float())
     exact = module.double()(image, z)
     torch.testing.assert_close(found, exact.float(), rtol=0, atol=2e-4)

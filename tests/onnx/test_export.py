@@ -12,7 +12,7 @@ import torch
 from exporting import COARSE, FAR, NEAR, in_water, scene, without_graph
 
 import uwaug
-from uwaug import Development, Light, Medium, PointSpread, RandomUnderwater, Underwater
+from uwaug import Development, Light, MarineSnow, Medium, PointSpread, RandomUnderwater, Underwater
 from uwaug.light import Lamp
 from uwaug.onnx import OnnxUnderwater, check_onnx, coefficients_of, export_onnx, read_metadata
 from uwaug.onnx.blurs import Blurs
@@ -117,10 +117,9 @@ def test_a_copy_in_half_precision_runs(frozen, tmp_path) -> None:
     assert 0 < (run(image, distance) - exact(image, distance)).abs().max() < 0.005
 
 
-@pytest.mark.parametrize("metered", [False, True])
-def test_a_file_with_a_lamp(tmp_path, metered) -> None:
+def test_a_file_with_a_lamp(tmp_path) -> None:
     medium = Medium.from_water("7C", vertical_depth=10.0, point_spread=PointSpread.none())
-    lit = {"light": LIGHT, "development": Development(metered=metered)}
+    lit = {"light": LIGHT, "development": Development(metered=True)}
     module = Underwater(medium, (NEAR, FAR), COARSE, sides=(1, 144), **lit)
     said: list[str] = []
     path = export_onnx(module, tmp_path / "lamp.onnx", progress=said.append)
@@ -170,6 +169,7 @@ def test_a_graph_that_returns_its_input_is_refused(tmp_path) -> None:
 
 TWO = Underwater(Medium.stack([MEDIUM] * 2), (1.0, 5.0))
 LIT = Underwater(MEDIUM, (1.0, 5.0), light=LIGHT)
+SNOWY = Underwater(MEDIUM.with_snow(MarineSnow(3000, seed=5)), (1.0, 5.0))
 
 
 @pytest.mark.parametrize(
@@ -180,6 +180,7 @@ LIT = Underwater(MEDIUM, (1.0, 5.0), light=LIGHT)
         (Underwater(MEDIUM, None), {}, r"no plan of the blur .*distance_range=.*sides="),
         (Underwater(Medium.from_water("II"), (1.0, 5.0)), {}, "no plan of the blur"),
         (TWO, {}, "module holds 2 media.*: give coefficients=True"),
+        (SNOWY, {}, "module has marine snow, which no file can draw"),
         (LIT, {"coefficients": True}, "cannot be inputs of a file with lamps"),
     ],
 )

@@ -23,8 +23,8 @@ from uwaug.transforms import random_water
 from uwaug.transforms.appearance import water_features
 
 HEIGHT, WIDTH = 40, 52
-WATERS = 200
-ENGINE = 20  # of them, pictures too
+WATERS = 60
+ENGINE = 8  # of them, pictures too
 
 
 def settings_of(rng: np.random.Generator) -> dict[str, Any]:
@@ -322,10 +322,10 @@ def test_made_up_distances(page: Page) -> None:
         shown = page(f"Array.from({made_up}, z => z < Infinity ? z : 1e9)")
         return np.array(shown).reshape(height, width)
 
-    for seed in range(6):
-        z = made(seed)
+    maps = [made(seed) for seed in range(3)]
+    for z in maps:
         assert z.min() == pytest.approx(1, rel=0.2)
         assert (z < 8.01).mean() > 0.4
         assert np.median(z[-1]) < np.median(z[28])
-    assert not np.array_equal(made(0), made(1))
-    assert np.array_equal(made(0), made(0))
+    assert not np.array_equal(maps[0], maps[1])
+    assert np.array_equal(maps[0], made(0))

@@ -199,11 +199,7 @@ def test_no_veil_that_is_drawn_is_brighter_than_a_white_plate() -> None:
         (setting,) = aug.scenes(*scene, record).settings
         return setting.medium.curves(torch.tensor([[[[1e4]]]])).veil
 
-    held, highest, asked = (
-        veil(g=0.02, mu=(0.03, 0.04)),
-        veil(g=0.02, mu=0.02),
-        veil(g=0.02, mu=0.03),
-    )
+    held, highest, asked = (veil(g=0.02, mu=mu) for mu in ((0.03, 0.04), 0.02, 0.03))
     torch.testing.assert_close(held, highest)
     torch.testing.assert_close(asked, 1.5 * highest, rtol=1e-3, atol=0)
 
@@ -243,8 +239,8 @@ def test_gradients_pass_to_image_and_distance(kind: Any, light: Light | None) ->
     # a blur is planned for the distances and the exposure at hand, which are not followed
     water = RandomWater(["II", "5C"], point_spread=PointSpread.none())
     aug = RandomUnderwater(water, development=RandomDevelopment(color_space=kind), light=light)
-    image = (0.2 + 0.6 * torch.rand(3, 6, 7, dtype=torch.float64)).requires_grad_()
-    z = (1 + torch.rand(1, 6, 7, dtype=torch.float64)).requires_grad_()
+    image = (0.2 + 0.6 * torch.rand(3, 3, 5, dtype=torch.float64)).requires_grad_()
+    z = (1 + torch.rand(1, 3, 5, dtype=torch.float64)).requires_grad_()
     generator = torch.Generator().manual_seed(3)
     record = aug.make_params(image, generator)
     # water and drawn lamps are scaled to the median distance, which is not followed
@@ -495,12 +491,7 @@ ODD: list[tuple[RandomWater, Light | None, float, str]] = [
     (TOO_CLEAR, None, 3.0, "water I is too clear for 0.4 at 3 m: that is"),
     (CLEAR, None, 2.0, "=0.01 is too clear for 0.2 at 2 m.*a more turbid one; water.contrast=None"),
     (RandomWater(contrast=0.9), LAMP, 30.0, "pure water leaves 0.16 of contrast, not 0.9 at 30 m"),
-    (
-        RandomWater("II", contrast=0.9),
-        LAMP,
-        4.0,
-        "water II leaves 0.16 of contrast, not 0.9 at 4 m",
-    ),
+    (RandomWater("II", contrast=0.9), LAMP, 4.0, "II leaves 0.16 of contrast, not 0.9 at 4 m"),
 ]
 
 

@@ -85,7 +85,7 @@ def _refuse_irregular(path: Path, status: os.stat_result) -> None:
 
 
 def _new_part(folder: Path, *, private: bool) -> Path:
-    """Make an empty file. `private`: for this user alone, else by the process's umask."""
+    """Make an empty file that this user alone may read if `private`, else by the umask."""
     if not folder.is_dir():
         raise FileNotFoundError(f"path: there is no folder {folder}")
     part = folder / f".uwaug-{secrets.token_hex(8)}.part"

@@ -207,7 +207,7 @@ def records(*values: "Tensor") -> bool:
 
 
 def on_host(x: "Tensor") -> bool:
-    """True if values can be read at no cost. A compiler has none, and a device would wait."""
+    """True if values can be read without waiting: on the processor, and not while compiling."""
     import torch
 
     return x.is_cpu and not torch.compiler.is_compiling()

@@ -131,7 +131,7 @@ def _is_plain(kind: Any) -> bool:
 
 
 def _meant(word: str, words: Iterable[str]) -> str:
-    """Ask whether the most similar of some words was meant; empty where none is."""
+    """': did you mean …?' with the word that is most similar; "" if none is."""
     return "".join(f": did you mean {match}?" for match in get_close_matches(word, words, 1))
 
 

@@ -99,7 +99,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
     def apply_with_params(
         self, params: dict[str, Any], *args: Any, **kwargs: Any
     ) -> dict[str, Any]:
-        """Degrade the pictures of a call by a record, each with the map of its name."""
+        """Degrade all pictures of a call as one record says, each with its own map."""
         # Albumentations gives `apply` no map; as parameters, maps would be kept for replays, which
         # may be of other pictures
         result = dict(kwargs)

@@ -58,7 +58,7 @@ class UnderwaterPhysics(Physics):  # type: ignore[misc]
         return self.water(x, self.distance)
 
     def A_vjp(self, x: Tensor, v: Tensor) -> Tensor:
-        """Product of a picture v and the Jacobian of A at x."""
+        """Product vᵀJ of a picture v and the Jacobian J of A at x."""
         # Physics takes it by torch.func, whose tensors Underwater cannot read
         tensors = (x, v, self.distance, *self.parameters())
         create_graph = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
@@ -68,6 +68,6 @@ class UnderwaterPhysics(Physics):  # type: ignore[misc]
         return product
 
     def A_dagger(self, y: Tensor, x_init: Tensor | None = None) -> Tensor:
-        """Scene that looks like y under water, by descent; see `Physics`."""
+        """Scene that looks like y under water, by gradient descent; see `Physics`."""
         scene: Tensor = super().A_dagger(y, y if x_init is None else x_init)
         return scene

@@ -41,7 +41,7 @@ def mirrored(index: Index, size: int) -> Index:
 
 
 class Run(NamedTuple):
-    """Equal blocks of a matrix, one below the other: each `height` rows, `step` columns apart."""
+    """Equal blocks of a matrix, each `height` rows below and `step` columns right of the last."""
 
     row: int
     height: int

@@ -99,8 +99,8 @@ def shrink_kernels(
 
 
 def enlarge_kernels(index: Tensor, a: int, q: int) -> tuple[Tensor, Tensor]:
-    """First cell (n) and weights (n, 4) of the px `index`, for the cubic B-spline with coefficients
-    on a grid of `a` cells for `q` px.
+    """First cell (n) and weights (n, 4) of pixels `index` (n), for the cubic B-spline with
+    coefficients on a grid of `a` cells for each `q` px.
     """
     x = (torch.remainder(index, q).double() + 0.5) * (a / q) - 0.5
     first = torch.floor(x).long() + torch.div(index, q, rounding_mode="floor") * a - 1

@@ -248,7 +248,7 @@ def _fit(
 
 
 def _cell(widest: float) -> float:
-    """Pitch of a grid, at most `widest` px: a period holds whole cells, or a cell whole periods."""
+    """Pitch of a grid, `widest` px at most, that divides the period or is a multiple of it."""
     if widest < 2:
         return 1.0
     if widest < PERIOD:

@@ -86,7 +86,7 @@ def print_written(*paths: Path) -> None:
 
 @contextmanager
 def status() -> Iterator[Callable[[str], None]]:
-    """Show on a terminal what is being done."""
+    """Show on a terminal what the command is doing."""
     from rich.console import Console
 
     with Console(stderr=True).status("starting") as line:
@@ -95,7 +95,7 @@ def status() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def counted() -> Iterator[Callable[[int, int], None]]:
-    """Show on a terminal how many of all pictures are done."""
+    """Show a progress bar, on a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 

@@ -37,13 +37,13 @@ def degrade(
     ] = None,
     contrast: Annotated[
         str | None,
-        typer.Option(help="Contrast left at median distance, .4 or .1:.8; none keeps the water."),
+        typer.Option(help="Contrast left at median distance, .4 or .1:.8; none: as in nature."),
     ] = None,
     like: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Photograph taken under water that pictures shall look like: the nearest of "
-            "random waters are taken; repeat it for several."
+            help="Underwater photograph that pictures shall look like: of many random waters the "
+            "most similar are taken; repeat it for several."
         ),
     ] = None,
     preset: Preset = None,
@@ -51,8 +51,8 @@ def degrade(
         bool,
         typer.Option(
             "--plain",
-            help="Draw nothing at random but what you name: even, natural water at the surface, "
-            "and a camera that changes nothing.",
+            help="Nothing random but what you name: even, natural water at the surface, daylight, "
+            "and a camera that changes nothing. Needs --water and --distance.",
         ),
     ] = False,
     set_: Annotated[
@@ -60,12 +60,12 @@ def degrade(
         typer.Option(
             "--set",
             help="Set any option: water.vertical_depth=0:5, development.saturation=1, light=none; "
-            "for films drift=.004, m a frame; for JPEG quality=80; repeat it for several.",
+            "for films drift=.004 (m per frame); for JPEG quality=80; repeat it for several.",
             metavar="NAME=VALUE",
         ),
     ] = None,
     options: Annotated[
-        Path | None, typer.Option(help="TOML file of options, as presets have them.")
+        Path | None, typer.Option(help="TOML file of options, with tables as in a preset.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     variants: Annotated[int, typer.Option(help="Number of variants of each picture.")] = 1,
@@ -75,7 +75,7 @@ def degrade(
     ] = False,
     resume: Resume = False,
     force: Force = False,
-    sheet: Annotated[bool, typer.Option("--sheet", help="Draw some results on a sheet.")] = False,
+    sheet: Annotated[bool, typer.Option("--sheet", help="Also draw a sheet of results.")] = False,
     ray: Annotated[str | None, typer.Option(help="Ray cluster: auto, host:port, or local.")] = None,
     labels: Annotated[str | None, typer.Option(help=f"Labels of pictures: {formats()}.")] = None,
     min_contrast: Annotated[

@@ -100,7 +100,7 @@ def layers_of(weights: Weights) -> Convolve:
 
 @torch.no_grad()
 def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
-    """Guess distances of a picture (3xHxW, sRGB in 0…1), mirrored ones of a mirrored picture.
+    """Guess distances of a picture (3xHxW, sRGB in 0…1). A mirrored picture gets them mirrored.
 
     Returns (H/2xW/2 each): logarithms of distance, up to scale and shift; and the probability of
     open water, sky or a plain backdrop.

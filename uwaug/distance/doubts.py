@@ -1,4 +1,4 @@
-"""Doubts whether maps hold metres, in sentences, before pictures are made of them."""
+"""Warnings that maps may not hold metres, given before pictures are made of them."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -88,7 +88,7 @@ def doubts(distance: Tensor | Sequence[Tensor], image: Tensor | Sequence[Tensor]
 
 
 class FirstMaps(Once):
-    """Doubts about the first maps of a process: about the first one alone, and about eight."""
+    """Doubts about the first maps of a process: of the first one, then of the first eight."""
 
     def renew(self) -> None:
         """See `Once.renew`."""

@@ -80,11 +80,11 @@ class Metres(Source):
     """Maps of metres along the ray, or of planar depth.
 
     Attributes:
-        holes: treatment of NaN, 0 and negative distances, see `Holes`. Stand-ins get it, too: a
-            largest distance beyond 50 m, far from all others, that is the end of a type, such as
-            65.535, or has one or two digits, such as 1000. With "error" a stand-in from 100 m on is
-            open water, as is 1e7 m and more; a nearer one stays, with a warning. Geometric
-            transforms pad with 0.
+        holes: treatment of NaN, 0 and negative distances, see `Holes`; and of stand-ins for "no
+            distance": a largest value beyond 50 m, far from all others, that a type cannot exceed,
+            such as 65.535, or that has one or two digits, such as 1000. With "error" a stand-in
+            from 100 m on is open water, as is 1e7 m and more; a nearer one stays, with a warning.
+            Geometric transforms pad with 0.
         focal_px: focal length in px of the picture, or (fx, fy), of maps that hold depth along the
             optical axis, as depth cameras and renderers write it, see `along_ray`; None for metres
             along the ray. The axis goes through the middle: maps are whole views, not crops.

@@ -52,7 +52,7 @@ def of_metres(z: Tensor) -> Tensor:
 
 
 def alone_of_metres(z: Tensor, gap: float = _GAP_SHARE) -> Tensor:
-    """True where a map (1xHxW, m) holds the largest distance, if that is alone."""
+    """True where a map (1xHxW, m) holds its largest distance, if no other comes near that."""
     return _alone(torch.where(z > 0, z, torch.nan), gap)
 
 
@@ -72,8 +72,8 @@ def of_shares(x: Tensor) -> Tensor:
 
 
 def range_end(z: Tensor) -> Tensor:
-    """True where a map (1xHxW, m) holds the largest distance, if a renderer ends there. Others may
-    come near it.
+    """True where a map (1xHxW, m) holds its largest distance, if that is where a renderer ends.
+    Others may come near it.
     """
     z = torch.where((z > 0) & z.isfinite(), z.detach(), 0.0)
     top = z.amax()

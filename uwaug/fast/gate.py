@@ -121,7 +121,7 @@ def _tell_of_compiling() -> None:
 
 
 def inner(function: _F) -> _F:
-    """Compile a function into the loops that call it."""
+    """Compile a function so that it is inlined into the loops that call it."""
     import numba
 
     compiled: _F = numba.njit(forceinline=True, **OPTIONS)(function)

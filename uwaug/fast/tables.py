@@ -54,7 +54,7 @@ class StackTable(NamedTuple):
     Attributes:
         series (K, N): weights of the blurs, as Chebyshev series.
         taps (n, reach + 1): middle weight and one half of each narrow blur.
-        pairs (n): number of weights of a half that count, even.
+        pairs (n): how many weights of each half are used, an even number.
         margin: px that the widest narrow blur reaches.
         rows, columns: indices in the picture, mirrored, from `margin` before the first.
         back_first (m, H), back (m, H, 4): the first cell of each row on each grid, and weights.

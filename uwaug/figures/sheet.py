@@ -91,7 +91,7 @@ def show_map(
     span: tuple[float, float],
     unit: str = "",
 ) -> None:
-    """Draw a map (1xHxW) and a colour bar; one colour and no bar if the span is a point."""
+    """Draw a map (1xHxW) and a colour bar; one colour and no bar if the span is a single value."""
     low, high = span
     flat = _is_point(span)
     ends = (0, 2 * high) if flat else span

@@ -71,7 +71,7 @@ class Films:
         return self._settled[middle, variant]
 
     def draw(self, frame: Frame, variant: int) -> Record:
-        """The draw of a frame: its film's, with noise and a drift of the field for the frame."""
+        """The draw of a frame: its film's, with noise and drift of the field of its own."""
         record, _ = self.settled(frame, variant)
         (sample,) = record["samples"]
         if "measured" not in sample:

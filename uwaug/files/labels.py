@@ -143,7 +143,7 @@ class Folder(Labels):
         raise NotImplementedError
 
     def described(self, samples: Sequence[Path]) -> Self:
-        """The same labels with the facts on all that sample files tell; refuses as `opened`."""
+        """The same labels, with what sample files tell of all of them; raises as `opened`."""
         return self
 
     def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:

@@ -91,7 +91,7 @@ def _connected(ray: Any, address: str, workers: int) -> Iterator[None]:
 
 
 class _Process:
-    """An actor in the folder of the run."""
+    """A Ray actor, which works in the folder that the run was started in."""
 
     def __init__(self, work: Any, folder: str) -> None:
         import ray

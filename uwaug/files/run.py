@@ -70,7 +70,7 @@ class Work:
         }
 
     def make(self, job: Job) -> tuple[Any, dict[str, Any]]:
-        """A result, and the other entries of its record."""
+        """Make a result, and the other entries of its record."""
         raise NotImplementedError
 
     def write(self, path: Path, result: Any, item: Item) -> None:
@@ -78,7 +78,7 @@ class Work:
         raise NotImplementedError
 
     def read(self, path: Path) -> Tensor:
-        """A result as a picture (3xHxW), for the sheet."""
+        """Read a result as a picture (3xHxW), for the sheet."""
         return read_picture(path)
 
     def caption(self, path: Path) -> str:

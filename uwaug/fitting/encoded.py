@@ -15,8 +15,8 @@ _MIN_RATIO = 1.05
 
 
 def encoded_haze_notes(winner: FittedModel[CoefficientModel], gain: bool, seed: int) -> list[str]:
-    """The note on sRGB values that a haze, fitted to them as if they were light, explains better
-    than the winner explains the light they stand for; none if it does not.
+    """A note if a haze that is fitted to the sRGB values, as if they were light, explains them
+    better than the winner explains the light; else none.
     """
     haze = replace(winner.model, spec=MODELS["haze"], gain=gain)
     if not set(haze.fixed) <= set(haze.fixable) or not haze.bounds:

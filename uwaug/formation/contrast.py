@@ -59,7 +59,7 @@ def contrast_left(
         Gradients pass to distance, medium and reflectance.
 
     Raises:
-        TypeError: if medium is none, or distance or reflectance no floating-point tensor.
+        TypeError: if medium is no `Medium`, or distance or reflectance no floating-point tensor.
         ValueError: if shapes or batches disagree, a distance is NaN or negative, most distances lie
             beyond 1000 m, or a reflectance is NaN, infinite or negative.
 

@@ -111,7 +111,7 @@ class Development:
     Numbers may be tensors (B), as those of `stack`.
 
     Raises:
-        TypeError, ValueError: if a number is none, or outside of its range; or if the exposure is
+        TypeError, ValueError: if a value is no number, or out of its range; or if the exposure is
             "auto" and not metered.
     """
 

@@ -11,7 +11,7 @@ from uwaug._support import checks
 from uwaug._support.types import ColorSpace
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.demand import blur_demand
-from uwaug.formation.development import Development, Means
+from uwaug.formation.development import Development, Means, farthest_veil
 from uwaug.formation.image import form
 from uwaug.light import Light
 from uwaug.optics.curves import FARTHEST
@@ -96,7 +96,7 @@ def _at_once(
     lights: Sequence[Light | None],
     color_space: ColorSpace,
 ) -> Tensor:
-    """Form pictures by daylight, without a look at their values."""
+    """Form all pictures by daylight at once, without reading their values on the host."""
     medium, development = Medium.stack(media), Development.stack(developments, z)
     light = lights[0]
     if light is not None:
@@ -147,6 +147,7 @@ def _of_grey(
     z, farthest = rows.T[1:, :, None, None, None].clamp(max=FARTHEST)
     grey = z.new_full((len(z), 3, 1, 1), _GREY)
     arriving = medium.image(z, grey, grey).flatten(1)
-    veil = medium.curves(farthest).veil.flatten(1).amax(1, keepdim=True)
-    means = Means(grey.flatten(1), arriving, arriving.clamp(min=0.0), veil)
+    means = Means(
+        grey.flatten(1), arriving, arriving.clamp(min=0.0), farthest_veil(farthest, medium)
+    )
     return medium.brightened(Development.stack(developments, z).gain_of(means, z))

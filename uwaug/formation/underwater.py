@@ -205,8 +205,8 @@ class Underwater(nn.Module):
             self.demand = self._demand_of(medium, margin=_WIDTH_MARGIN if self.learnable else 1.0)
 
     def _keep_up(self, medium: Medium) -> None:
-        """Plan anew if a width has left the plan, at whose ends it would stop changing and learning
-        would stick. A compiled module keeps its plan.
+        """Plan anew if a width has left the plan: beyond its ends widths do not change and learning
+        gets stuck. A compiled module keeps its plan.
         """
         if not self.learnable or self.demand is None:
             return

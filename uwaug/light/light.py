@@ -97,7 +97,7 @@ class Lamp:
             checks.within("cone", self.cone, 1.0, 90.0)
 
     def dyed(self, weights: Tensor) -> Tensor:
-        """Multiply weights of channels (Bx3xL) by this lamp's light."""
+        """Weights of channels (Bx3xL) times colour and power of this lamp."""
         return weights * (weights.new_tensor(self.color)[:, None] * self.power)
 
     def sent(self, rays: Rays, z: Tensor) -> Sent:
@@ -144,7 +144,7 @@ class Light:
             paper.
 
     Raises:
-        TypeError, ValueError: if a lamp is none, or a number is outside its domain.
+        TypeError, ValueError: if a lamp is no `Lamp`, or a number is outside its domain.
 
     Examples:
         >>> headlight = Lamp((0.3, -0.2, 0.0), power=4.0, aim=(-0.1, 0.1, 1.0), cone=40.0)

@@ -24,7 +24,7 @@ class Rays(NamedTuple):
 
     @classmethod
     def of(cls, z: Tensor, view: float) -> Self:
-        """Rays of a map (Bx1xHxW) that is `view` degrees wide, and looks along z in its middle."""
+        """Rays of a map (Bx1xHxW) that is `view` degrees wide; the axis goes through its middle."""
         height, width = z.shape[-2:]
         focal = width / 2 / math.tan(math.radians(view / 2))
         # in tensors, as a graph knows the size when it runs

@@ -1,9 +1,9 @@
 """Blurs of a plan as convolutions, for pictures of any size.
 
 `uwaug.blur` works in blocks and caches that a graph has no room for. Here all but the widest blurs
-are convolutions with a channel for each px, or cell, of a period. One window serves a period of
-results, twice as fast as a window for each. Work is done in whole periods of rows and columns; what
-lies beyond the picture is cut off at the end.
+are convolutions with a channel for each px, or cell, of a period. All results of a period come from
+one window, which is twice as fast as a window for each. Work is done in whole periods of rows and
+columns; what lies beyond the picture is cut off at the end.
 """
 
 import torch

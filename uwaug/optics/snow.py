@@ -74,7 +74,7 @@ class MarineSnow(Seeded):
             come back on its other side.
 
     Raises:
-        TypeError, ValueError: if a number is none, or outside its domain.
+        TypeError, ValueError: if a value is no number, or outside its domain.
 
     Source: G. A. Jackson et al., Deep-Sea Research I 44, 1997: exponents of 2.96 to 3.00 by
     diameters in images, from 1 µm to 1 cm.

@@ -89,7 +89,7 @@ class KeepVisible(SampleTransform):
         return replaced(sample, place, self._visible(members[place], contrast_map))
 
     def _visible(self, target: Mapping[str, Any], contrast_map: Tensor) -> Any:
-        """A copy of a target with those objects that can be seen by a map of contrast (HxW)."""
+        """A copy of a target with only the objects that can be seen, by a map of contrast (HxW)."""
         contrast = _means(target, contrast_map).float().cpu()
         keep = contrast >= self.min_contrast
         changed: Any = copy.copy(target)

@@ -81,7 +81,7 @@ class UnderwaterLike(RandomUnderwater):
         nearness: of the kept draws to the photographs; not in `to_dict`.
 
     Raises:
-        ValueError: if there is none, or one is none of this transform's draws.
+        ValueError: if there is no draw, or one is not of this transform.
     """
 
     kept: Sequence[Mapping[str, Any]] = ()
@@ -267,7 +267,7 @@ def _with_kept(sample: Record, kept: Mapping[str, Any]) -> Record:
 
 
 def _small(name: str, tensors: Any, channels: int) -> list[Tensor]:
-    """Pictures or maps (CxHxW), small, on the host; of one, a batch, or a list of either."""
+    """Small copies (CxHxW), on the host, of a picture or map, a batch, or a list of either."""
     small: list[Tensor] = []
     for tensor in tensors if isinstance(tensors, (list, tuple)) else [tensors]:
         if channels == 1 or getattr(tensor, "dtype", None) != torch.uint8:

@@ -183,8 +183,9 @@ class RandomUnderwater(SampleTransform):
         """
         names = [
             f"{name}.{option}"
-            for name in ("water", "light", "development")
-            for option in self._nouns[name].random()
+            for name, noun in self._nouns.items()
+            if name != "distance"
+            for option in noun.random()
         ]
         names += ["p"] * (self.p < 1) + self.water.of_each_picture()
         if names:

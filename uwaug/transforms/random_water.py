@@ -296,7 +296,7 @@ class RandomWater(Noun):
         return PictureWater(self._with_snow(medium, draw, measured.scaled(scale)), scale, reached)
 
     def fields(self, draws: Sequence[Draw], measured: Sequence[Measured], like: Tensor) -> Tensor:
-        """The medium field (Bx1xHxW) of each picture, for distances of the shape of a tensor; 1 in
+        """The medium field (Bx1xHxW) of each picture, of the height, width and type of `like`; 1 in
         even water.
         """
         if self.field is None:
@@ -331,7 +331,7 @@ class RandomWater(Noun):
         return min(mu, g) if isinstance(self.mu, (tuple, list)) else mu
 
     def _spectra(self, water: str | Mapping[str, float]) -> Water:
-        """A water by its name, or of amounts of contents."""
+        """Spectra of a water, by its name or by the amounts of its contents."""
         if not isinstance(water, str):
             return Water.of_amounts(water)
         spectra = self.by_name[water]

@@ -153,7 +153,7 @@ def is_film(image: Any) -> bool:
 
 
 def typed(x: Tensor, kind: type[Tensor]) -> Tensor:
-    """A tensor as another class of tensors."""
+    """The same tensor, as one of another class, such as torchvision's `Image`."""
     return x if type(x) is kind else x.as_subclass(kind)
 
 

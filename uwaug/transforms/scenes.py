@@ -78,7 +78,7 @@ class Scenes(NamedTuple):
     alike: bool = True
 
     def formed(self) -> Tensor:
-        """The image under water, of the type of the one that came."""
+        """The image under water, of the class of the original."""
         if not self.chosen:
             return self.image
         pictures, index = self.pictures, None

@@ -54,11 +54,6 @@ def bands(water: str, phi: float | None = None) -> Bands:
     return Bands(*(values.astype(np.float32) for values in arrays), phi)
 
 
-def doubled(bands: Bands) -> Bands:
-    """The same in float64."""
-    return Bands(*(value.astype(np.float64) for value in bands[:-1]), bands.phi)
-
-
 def three_wavelengths(water: str) -> dict[str, Tensor]:
     """Coefficients of the channels, (3) each, taken at one wavelength for each."""
     found = _coefficients(water)
@@ -135,35 +130,6 @@ def published(image: Array, distance: Array, field: Array, bands: Bands) -> Arra
     arrived = 1 - np.exp(smooth[..., None] * -bands.G)
     backscatter = arrived @ (bands.response * bands.veil[:, None])
     return direct + forward + backscatter
-
-
-def authors(image: Array, distance: Array, field: Array, bands: Bands) -> Array:
-    """The same as the recipe was published: loops over channels and bands, and nothing shared
-    between them.
-
-    Args:
-        image, distance, field, bands: as for `published`, or all in float64, as NumPy makes them of
-            a picture of bytes. That takes 2.7 times as long.
-    """
-    out = np.empty_like(image)
-    for c in range(3):
-
-        def transmission(rates: Array, c: int = c) -> Array:
-            mean = np.zeros_like(distance)
-            for rate, share in zip(rates, bands.response[:, c], strict=True):
-                mean += share * np.exp(-rate * distance)
-            return np.exp(np.log(mean) / distance * (distance * field))
-
-        lit = image[..., c] * bands.light[c]
-        direct = lit * transmission(bands.beta)
-        unblurred = lit * (transmission(bands.G) - transmission(bands.beta))
-        forward = binned_blur(unblurred, distance * field, bands.phi)
-        smooth = cv2.GaussianBlur(distance, (21, 21), 60) * field
-        backscatter = np.zeros_like(distance)
-        for rate, veil, share in zip(bands.G, bands.veil, bands.response[:, c], strict=True):
-            backscatter += share * veil * (1 - np.exp(-rate * smooth))
-        out[..., c] = direct + forward + backscatter
-    return out
 
 
 def naive_kornia(

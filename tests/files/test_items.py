@@ -1,0 +1,87 @@
+"""Which files of a folder are pictures, and where their maps are."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from uwaug.files import find_items
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def touch(names: str) -> None:
+    for name in names.split():
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).touch()
+
+
+def names(pictures: str, maps: str | None = None, exclude: Sequence[str] = ()) -> dict[str, str]:
+    """The map of each picture, "" for none."""
+    items = find_items(pictures, maps, exclude=exclude)
+    return {item.name: item.distance.as_posix() if item.distance else "" for item in items}
+
+
+OWN = {"b_RGB.png": "d/b_RGB", "rgb.png": "d/depth.png"}
+Z, SWAP = "{stem}_z.png", "{stem:rgb=depth}.png"
+FOUND: list[tuple[str, str, str | None, dict[str, str]]] = [
+    # files, pictures, maps, and what is found
+    ("d/1.png d/notes.txt", "d", None, {"1.png": ""}),
+    ("d/1.png m/2.tif", "d/1.png", "m/2.tif", {"1.png": "m/2.tif"}),
+    ("d/2.PNG d/z.png", "d", "d/z.png", {"2.PNG": "d/z.png"}),
+    ("d/2.PNG d/2_z.png", "d", Z, {"2.PNG": "d/2_z.png"}),
+    ("d/a.png d/b.png m/a.npy", "d", "m", {"a.png": "m/a.npy", "b.png": "m/b"}),  # is missing
+    ("d/r/2.png d/m/r/2.png", "d", "d/m", {"r/2.png": "d/m/r/2.png"}),
+    ("d/images/a/1.jpg d/z/a/1.png", "d", "d/z", {"images/a/1.jpg": "d/z/a/1.png"}),
+    ("d/images/a/0.png d/z/a/0_z.png", "d", f"d/z/{Z}", {"images/a/0.png": "d/z/a/0_z.png"}),
+    ("d/r/b.jpg m/r/b_z.png", "d", f"m/{Z}", {"r/b.jpg": "m/r/b_z.png"}),
+    ("d/r/b.jpg m/r/b_z.png", "d", "m/{stem}_z", {"r/b.jpg": "m/r/b_z.png"}),
+    ("d/rgb_0.jpg m/depth_0.png", "d", f"m/{SWAP}", {"rgb_0.jpg": "m/depth_0.png"}),
+    ("d/s/rgb/0.png d/s/depth/0.png", "d", f"d/{SWAP}", {"s/rgb/0.png": "d/s/depth/0.png"}),
+    # maps without pictures are no pictures of a pattern
+    ("d/rgb_0.png d/depth_0.png d/depth_1.png", "d", SWAP, {"rgb_0.png": "d/depth_0.png"}),
+    # a picture is not its own map
+    ("d/b_RGB.png d/b_depth.png d/rgb.png d/depth.png", "d", SWAP, OWN),
+    ("voc/JPEGImages/1.jpg voc/SegmentationClass/1.png", "voc", None, {"JPEGImages/1.jpg": ""}),
+    ("voc/SegmentationClass/1.png", "voc/SegmentationClass", None, {"1.png": ""}),
+    ("d/@home.png d/@eaDir/1.png d/.hidden.png d/.trash/b.png", "d", None, {"@home.png": ""}),
+    ("d/._a.png", "d/._a.png", None, {"._a.png": ""}),
+]
+
+
+@pytest.mark.parametrize("files, pictures, maps, found", FOUND)
+def test_items(files: str, pictures: str, maps: str | None, found: dict[str, str]) -> None:
+    touch(files)
+    assert names(pictures, maps) == found
+    if maps and "/" in maps:
+        here = str(Path.cwd())
+        absolute = {name: f"{here}/{place}" for name, place in found.items()}
+        assert names(pictures, f"{here}/{maps}") == absolute
+
+
+def test_links_to_folders_are_followed() -> None:
+    touch("store/train/1.png store/train/deep/2.png ds/images/val/3.png")
+    Path("ds/images/train").symlink_to(Path("store/train").absolute())
+    Path("ds/test").symlink_to("images/val")  # pictures that are there twice are two
+    there = ["images/train/1.png", "images/train/deep/2.png", "images/val/3.png", "test/3.png"]
+    assert list(names("ds")) == there
+    apart = ["store/train/deep", "ds/test"]
+    assert list(names("ds", exclude=apart)) == ["images/train/1.png"]
+    # loops: to itself, to a folder above, and by another link
+    Path("ds/images/val/here").symlink_to(Path("ds/images/val").absolute())
+    Path("store/train/up").symlink_to(Path("ds").absolute())
+    Path("store/train/round").symlink_to(Path("ds/images").absolute())
+    assert list(names("ds")) == there
+
+
+def test_nothing_is_found() -> None:
+    touch("ds/deep/2.png ds/maps/deep/notes.txt")
+    with pytest.raises(ValueError, match=r"ds/maps has no map for any picture: .*ds/maps/deep/2,"):
+        find_items("ds", "ds/maps")
+    with pytest.raises(ValueError, match="no pictures in ds/maps"):
+        find_items("ds/maps")
+    with pytest.raises(FileNotFoundError):
+        find_items("nowhere")
