@@ -24,7 +24,7 @@ from torch import Tensor
 
 from uwaug.light.rays import Rays
 
-_RISE = 0.8
+RISE = 0.8
 """Share K_d/G of the attenuation of daylight in that of the veil."""
 
 
@@ -39,4 +39,4 @@ def veil_factor(pitch: float | Tensor, z: Tensor, view: float) -> Tensor:
     down = Rays.of(z, view).y
     angles = torch.as_tensor(pitch).to(z).reshape(-1, 1, 1, 1) * (math.pi / 180)
     rise = (angles.sin() - down * angles.cos()) * (1 + down.square()).rsqrt()
-    return (1 - _RISE * rise) ** -2
+    return (1 - RISE * rise) ** -2
