@@ -12,8 +12,8 @@ PORT = {
         "    noise: Sensor | None = None\n": (
             "    noise: Sensor | None = None\n    port: Range = number(0.0, 0.0, 3.0)\n"
         ),
-        '        options: dict[str, Any] = {**drawn, "metered": self.metered}\n': (
-            '        options: dict[str, Any] = {**drawn, "metered": self.metered}\n'
+        '        options: dict[str, Any] = {**draw, "metered": self.metered}\n': (
+            '        options: dict[str, Any] = {**draw, "metered": self.metered}\n'
             '        options["exposure"] -= options.pop("port")\n'
         ),
     }

@@ -25,6 +25,7 @@ from uwaug import (
 from uwaug.distance import Metres, Relative
 from uwaug.presets import list_presets, load_preset
 from uwaug.presets.files import bundled_preset, preset_path
+from uwaug.transforms.draws import Draw
 
 NAMES = list_presets()
 KEPT = np.load(Path(__file__).parent.parent / "data" / "presets.npz")
@@ -157,8 +158,8 @@ def test_pictures_of_presets(name):
 
 def test_fields_and_sides():
     preset = load_preset("survey")
-    drawn = preset.make_params(torch.empty(3, 8, 8))["samples"][0]["water"]
-    first, second = (preset.water.fields([drawn], [], torch.ones(1, 1, 8, 8)) for _ in range(2))
+    draw = Draw(**preset.make_params(torch.empty(3, 8, 8))["samples"][0])
+    first, second = (preset.water.fields([draw], [], torch.ones(1, 1, 8, 8)) for _ in range(2))
     assert torch.equal(first, second)
     assert (float(first.min()), float(first.max())) == pytest.approx(preset.water.field)
     assert preset.module(sides=(32, 700)).sides == (32, 700)
