@@ -91,28 +91,29 @@ def test_batches_on_a_device_are_formed_at_once(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("UWAUG_FAST", "0")
     lights = [Light(pitch=10.0), Light([LAMP], pitch=10.0), Light(pitch=-25.0)]
     arguments: dict[str, Any] = {"color_space": "linear", "spans": [(0.5, 2.0, 5.0)] * 3}
-    finite, water = z.clamp(max=1e6), MEDIUM.to(torch.float32)
+    finite = z.clamp(max=1e6)
     arguments |= {"metres": finite, "alike": True}
     pictures = form_each(
-        image, finite, [water] * 3, [Development()] * 3, lights=lights, **arguments
+        image, finite, [MEDIUM] * 3, [Development()] * 3, lights=lights, **arguments
     )
     for i, light in enumerate(lights):
-        alone = Underwater(water, light=light, color_space="linear", distance_range=None)
+        alone = Underwater(MEDIUM, light=light, color_space="linear", distance_range=None)
         assert (pictures[i] - alone(image[i], z[i])).abs().max() < 5e-3  # other plans of the blur
 
 
 def test_random_pictures_look_up_and_down() -> None:
     augment = RandomUnderwater(light=RandomLight(share=0.0, pitch=(-40.0, 40.0)))
     image, z = scene(1)
-    params = augment.make_params(image.expand(64, -1, -1, -1))
-    pitches = [sample["light"]["pitch"] for sample in params["samples"]]
+    samples = augment.make_params(image.expand(64, -1, -1, -1))["samples"]
+    pitches = [sample["light"]["pitch"] for sample in samples]
     assert min(pitches) < -30 < 30 < max(pitches)
-    for sample in params["samples"][:4]:
+    for sample in samples[:4]:
         picture = augment.transform(image, z, {"samples": [sample]})
         level = augment.transform(image, z, {"samples": [{**sample, "light": {"pitch": 0.0}}]})
         assert not torch.equal(picture, level)
+    params, level = {"samples": samples[:1]}, RandomLight(share=0.0, pitch=None)
     with pytest.raises(ValueError, match=r"other options: light\.pitch"):
-        RandomUnderwater(light=RandomLight(share=0.0, pitch=None)).transform(image, z, params)
+        RandomUnderwater(light=level).transform(image, z, params)
 
 
 def test_without_a_pitch_there_is_no_direction() -> None:
