@@ -40,6 +40,7 @@ def settings_of(rng: np.random.Generator) -> dict[str, Any]:
         "minerals": rng.uniform(0.02, 5),
         "contrast": None if rng.uniform() < 0.2 else rng.uniform(0.05, 0.9),
         "vertical_depth": rng.uniform(0, 20),
+        "pitch": rng.uniform(-40, 40),
         "times": 10 ** rng.uniform(-1, 1),
         "g": rng.uniform(0, 0.4),
         "mu": rng.uniform(0, 0.6),
@@ -77,7 +78,7 @@ def twin_of(settings: dict[str, Any]) -> uwaug.RandomUnderwater:
             point_spread=blur,
             color_matrix=settings["color_matrix"],
         ),
-        light=None,
+        light=uwaug.Light(pitch=settings["pitch"]),
         development=uwaug.RandomDevelopment(
             settings["exposure"],
             white_balance=settings["white_balance"],
@@ -174,8 +175,11 @@ def test_pictures_are_those_of_the_package(page: Page, every_band: None) -> None
         z, medium, development = scenes.z, scenes.settings[0].medium, scenes.settings[0].development
         J = decoded(page.image[None], "srgb").double()
         soft = blurred_as_seen(J, z.double(), medium, plan_of_page())
-        gain = development.gain(J, z.double(), medium)
-        light = development.shaped(exposed(medium.image(z.double(), J, soft), gain))
+        light = twin.light
+        assert isinstance(light, uwaug.Light)
+        T = light.curves(medium, z.double())
+        gain = development.gain(J, z.double(), medium, T)
+        arriving = development.shaped(exposed(medium.image(z.double(), J, soft, T), gain))
         page.use(settings)
         matrix = gain if gain.ndim == 3 else torch.diag_embed(gain.expand(1, 3))
         assert np.array(page("gain")) == pytest.approx(matrix[0].numpy(), rel=1e-5, abs=1e-6)
@@ -183,11 +187,12 @@ def test_pictures_are_those_of_the_package(page: Page, every_band: None) -> None
         page.engine.eval("var picture = form(scene, water, gain, s, { exact }, tables)")
         exact = torch.tensor(page("Array.from(exact)")).reshape(HEIGHT, WIDTH, 3).permute(2, 0, 1)
         brightest = max(float(gain.abs().max()), 1.0)
-        torch.testing.assert_close(exact.double(), light[0], rtol=1e-5, atol=1e-5 * brightest)
+        torch.testing.assert_close(exact.double(), arriving[0], rtol=1e-5, atol=1e-5 * brightest)
         # with a tone, and as bytes
         settings["tone"] = float(rng.uniform(0.5, 2.5))
         shown = replace(development, tone=settings["tone"])
-        truth = form(page.image[None], z, medium.to(z), shown, plan=plan_of_page())[0]
+        options: Any = {"light": light, "plan": plan_of_page()}
+        truth = form(page.image[None], z, medium.to(z), shown, **options)[0]
         page.use(settings)
         page.engine.eval("var picture = form(scene, water, gain, s, {}, tables)")
         pixels = np.array(page("Array.from(picture.pixels)")).reshape(HEIGHT, WIDTH, 4)[..., :3]
@@ -201,9 +206,12 @@ def test_what_is_left_of_contrast(page: Page, every_band: None) -> None:
     twin = twin_of(settings)
     left = twin.contrast_left(page.image, page.distance, twin.make_params(page.image))
     page.use(settings)
-    shown = page("Array.from(scene.place, p => contrastLeft(p, water, scene.K, tables))")
+    lights = "Array.from(scene.place, p => lightAt(p, water, scene.K, tables))"
+    detail, surface, veil = np.array(page(lights)).T
+    rise = np.array(page("Array.from(water.rise)")).repeat(WIDTH)
+    shown = detail / (surface + rise * veil)
     # of the nearest place in the table
-    assert np.array(shown) == pytest.approx(left.flatten().numpy(), abs=3e-3)
+    assert shown == pytest.approx(left.flatten().numpy(), abs=3e-3)
 
 
 def test_noise_follows_the_photon_transfer_curve(page: Page) -> None:

@@ -44,7 +44,8 @@ def can(
     if not classes <= _CLASSES or not _has_its_sums(medium):
         return False
     records = torch.is_grad_enabled()
-    for value in (image, z, *medium.tensors(), *medium.point_spread.numbers().values()):
+    pitch = light.pitch if isinstance(light, Light) else None
+    for value in (image, z, pitch, *medium.tensors(), *medium.point_spread.numbers().values()):
         if isinstance(value, Tensor):
             is_plain = type(value) in (Tensor, torch.nn.Parameter) and value.is_cpu
             if not is_plain or (records and value.requires_grad):

@@ -523,6 +523,7 @@ def meter(
     farthest: float,
     points: Any,
     medium: MediumTable,
+    rise: Floats,
     further: DistanceTable,
     lamps: LampsTable,
     luminance: Doubles,
@@ -537,13 +538,17 @@ def meter(
         farthest: the largest z.
         points (M): indices of the pixels; without a sign, as numba would test each that has one.
         medium, further, lamps: tables.
+        rise (H, or 0): factors of the veil in rows.
         luminance (3): weights of the channels.
         brightness (M, or 0): is filled with the luminance of what arrives.
     """
     count, rates, direct = points.size, medium.rates, medium.direct.shape[1]
     distances, J, d = np.empty(count, f32), np.empty((3, count), f32), np.zeros((3, count), f32)
+    factors = np.ones(count, f32)
     for x in range(count):
         distances[x] = z[points[x]]
+    for x in range(count * min(1, rise.size)):
+        factors[x] = rise[points[x] // width]
     for c in range(3):
         row, plane = J[c], light[c]
         for x in range(count):
@@ -563,7 +568,7 @@ def meter(
             a1 = a2 = b0 = b2 = c0 = c1 = _0
         for x in range(count):
             power, rest = exp2_parts(rate * distances[x])
-            e, less = power + rest, (power - _1) + rest
+            e, less = power + rest, ((power - _1) + rest) * factors[x]
             d0[x] += e * (a0 * red[x] + a1 * green[x] + a2 * blue[x]) + less * a3
             d1[x] += e * (b0 * red[x] + b1 * green[x] + b2 * blue[x]) + less * b3
             d2[x] += e * (c0 * red[x] + c1 * green[x] + c2 * blue[x]) + less * c3
@@ -756,8 +761,10 @@ def blur_weights(t: Any, place: int, to: int, series: Any, n: int) -> None:
 
 
 @inner
-def curves(t: Any, z: int, to: int, medium: Any, n: int) -> None:
-    """T_β, T_G − T_β and V(0) − V of three channels in turn, from the distances in row z."""
+def curves(t: Any, z: int, to: int, medium: Any, rise: Any, n: int) -> None:
+    """T_β, T_G − T_β and V(0) − V of three channels in turn, from the distances in row z; the veil
+    times `rise`.
+    """
     distances, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
     scatter, veil, d = medium.scatter, medium.veil, tile_rows(t, to, 9)
     clear(d, 0, 9, n)
@@ -775,7 +782,8 @@ def curves(t: Any, z: int, to: int, medium: Any, n: int) -> None:
             d[x + 7 * TILE] += b2 * e
     for r in range(direct, rates.size):
         rate = rates[r]
-        a0, a1, a2 = veil[0, r - direct], veil[1, r - direct], veil[2, r - direct]
+        a0, a1 = rise * veil[0, r - direct], rise * veil[1, r - direct]
+        a2 = rise * veil[2, r - direct]
         b0, b1, b2 = scatter[0, r], scatter[1, r], scatter[2, r]
         for x in range(n):
             power, rest = exp2_parts(rate * distances[x])
@@ -797,10 +805,10 @@ def _sum(total: Any, curves: Any, light: Any) -> None:
 
 
 @inner
-def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, n: int) -> None:
+def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, rise: Any, n: int) -> None:
     """D + F + B of surfaces with spectra, in place of blurred light B in three rows from `total`
-    on: Σ T_β·(J − B) + T_G·B and the veil, for J in three rows from `sharp` on. (Sums of 21 curves
-    before the products take twice as long.)
+    on: Σ T_β·(J − B) + T_G·B and the veil times `rise`, for J in three rows from `sharp` on. (Sums
+    of 21 curves before the products take twice as long.)
     """
     distances, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
     X, B = tile_rows(t, sharp, 3), tile_rows(t, total, 3)
@@ -822,9 +830,9 @@ def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, n: int) -> None:
             d[x + 2 * TILE] += e * (c0 * red + c1 * green + c2 * blue)
     for r in range(direct, rates.size):
         rate, w, v = rates[r], medium.scatter, medium.veil
-        a0, a1, a2, a3 = w[0, r], w[1, r], w[2, r], v[0, r - direct]
-        b0, b1, b2, b3 = w[3, r], w[4, r], w[5, r], v[1, r - direct]
-        c0, c1, c2, c3 = w[6, r], w[7, r], w[8, r], v[2, r - direct]
+        a0, a1, a2, a3 = w[0, r], w[1, r], w[2, r], rise * v[0, r - direct]
+        b0, b1, b2, b3 = w[3, r], w[4, r], w[5, r], rise * v[1, r - direct]
+        c0, c1, c2, c3 = w[6, r], w[7, r], w[8, r], rise * v[2, r - direct]
         for x in range(n):
             power, rest = exp2_parts(rate * distances[x])
             e, less = power + rest, (power - _1) + rest
@@ -933,6 +941,7 @@ def render_rows(
     metres: Floats,
     snow: Floats,
     medium: MediumTable,
+    rise: Floats,
     further: DistanceTable,
     lamps: LampsTable,
     widths: DistanceTable,
@@ -955,6 +964,7 @@ def render_rows(
         light (3xHxW), z, metres (HxW): of the scene; effective distance, and without the field, m.
         snow (3xHxW, or 3x1x0): light of particles.
         medium, further, lamps, widths, stack: tables.
+        rise (H, or 0): factors of the veil in rows.
         grid (NxW), starts (m): lines of all coarse grids; the index at which those of each would
             start if they were whole.
         normals (N), begins (3xH): of the sensor's noise; the index of the first for each row. N is
@@ -982,6 +992,7 @@ def render_rows(
     sharp = count - narrow - wide
     z_row = tile_row(t, 0)
     for y in range(start, stop):
+        factor = rise[y] if rise.size > 0 else _1
         for c in range(3):
             for k in range(narrow):
                 line = lines[k * 3 + c]
@@ -1022,9 +1033,9 @@ def render_rows(
                 copy(tile_row(t, at_lamps + METRES), metres[y, left:right])
                 lamplight(t, 0, 1, totals, at_lamps, lamps, n)
             if spectral:
-                _mix(t, 0, 1, totals, medium, n)
+                _mix(t, 0, 1, totals, medium, factor, n)
             else:
-                curves(t, 0, 1, medium, n)
+                curves(t, 0, 1, medium, factor, n)
                 for c in range(3):
                     curve_rows = tile_rows(t, 1 + 3 * c, 3)
                     _sum(tile_row(t, totals + c), curve_rows, light[c, y, left:right])

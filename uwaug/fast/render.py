@@ -30,6 +30,7 @@ from uwaug.fast.tables import (
     medium_table,
     places_table,
     plan_table,
+    rise_table,
     terms_table,
 )
 from uwaug.formation.colour import LUMINANCE, headroom
@@ -70,20 +71,23 @@ def form(
     srgb, size = color_space == "srgb", (z.shape[-2], z.shape[-1])
     low, high = (0.0, 1.0) if image.dtype == torch.uint8 else extent(image)
     J = _decoded(image, srgb, low < 0 or high > 1)
-    batch, rows = max(len(J), len(z), len(medium)), range(len(medium))
+    batch = max(len(J), len(z), len(medium))
     scenes, z_maps = J.contiguous().numpy(), z.detach().contiguous().numpy()
     metre_maps = z_maps if metres is None else metres.detach().contiguous().numpy()
     weights = brightest = Weights.of(medium)
     if light is not None:
         brightest = Weights.of(light.planned(medium))
         weights = weights.seen_by(np.full((1, 3), light.daylight))
-    media = [medium] if len(medium) == 1 else [medium[n] for n in rows]
+    media = [medium] if len(medium) == 1 else [medium[n] for n in range(len(medium))]
     ends = blurred_between(z, brightest)
+    rise = rise_table(light, size)
+    rows = range(max(len(medium), len(rise)))
     tables = [
         (
-            medium_table(weights, n),
-            terms_table(media[n], z_maps),
-            lamps_table(light, brightest, size, n),
+            medium_table(weights, n % len(medium)),
+            rise[n % len(rise)],
+            terms_table(media[n % len(media)], z_maps),
+            lamps_table(light, brightest, size, n % len(medium)),
         )
         for n in rows
     ]
@@ -91,7 +95,7 @@ def form(
     if plan is None:
         plan = plan_between(ends, medium, size, tolerance, brightest.seen_by(gains))
     blurs = plan_table(plan, size)
-    widths = [places_table(media[n], plan, size, ends) for n in rows]
+    widths = [places_table(row, plan, size, ends) for row in media]
     normals, begins, developments = _camera(development, gains, batch, size)
     highest = np.ones(batch, np.float32)
     if srgb and high > 1:
@@ -106,14 +110,14 @@ def form(
             lines = range(first, min(first + step, size[0]))
             grid, starts = _coarse_grids(scene, blurs, lines)
             for n in samples:
-                out, row = result[n].numpy(), n % len(medium)
+                out = result[n].numpy()
                 arguments: Any = (
                     scene,
                     z_maps[n % len(z_maps), 0],
                     metre_maps[n % len(metre_maps), 0],
                     _snow(medium, light, z, metres, n),
-                    *tables[row],
-                    widths[row],
+                    *tables[n % len(tables)],
+                    widths[n % len(widths)],
                     blurs.stack,
                     grid,
                     starts,
@@ -144,7 +148,7 @@ def _gains(
     scenes: Floats,
     z: Floats,
     metres: Floats,
-    tables: Sequence[tuple[MediumTable, DistanceTable, LampsTable]],
+    tables: Sequence[tuple[MediumTable, Floats, DistanceTable, LampsTable]],
     development: Development,
     has_light: bool,
 ) -> Array:

@@ -15,6 +15,7 @@ from uwaug.blur.kernels import blur_kernel
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
 from uwaug.formation.demand import Weights, widths_at
 from uwaug.light.backscatter import ASYMMETRY, NODE_WEIGHTS, NODES
+from uwaug.light.direction import veil_factor
 from uwaug.light.light import LAMP_RADIUS_M, Light
 from uwaug.optics.medium import Medium
 
@@ -372,6 +373,16 @@ def lamps_table(light: Light | None, lamplit: Weights, size: Size, n: int) -> La
 
 def _floats(values: Any) -> Floats:
     return np.ascontiguousarray(values, np.float32)
+
+
+def rise_table(light: Light | None, size: Size) -> Floats:
+    """Factors of daylight's veil in the rows (B or 1, H) of pictures of one size; 1x0 if it is
+    alike in all directions.
+    """
+    if light is None or light.pitch is None:
+        return np.ones((1, 0), np.float32)
+    factors = veil_factor(light.pitch, torch.empty(1, 1, *size, device="cpu"), light.view)
+    return _floats(factors.detach().flatten(1))
 
 
 _NONE = [np.zeros((0,) * axes, np.float32) for axes in range(4)]

@@ -1,6 +1,8 @@
 """Image formation of pictures that each have a medium, on the device of their values."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -38,18 +40,19 @@ def form_each(
 
     On the host they are formed one after the other, which keeps the data of one in the caches. (By
     PyTorch, 16 of 256² take 15 ms each; all at once, with rates padded to as many for all, 29.) On
-    a device pictures by daylight are formed at once, then those with lamps one by one, without a
-    look at values.
+    a device pictures by daylight alone are formed at once, then those with lamps one by one,
+    without a look at values.
 
     Args:
         images, z, color_space, metres: as for `form`.
-        media, developments, lights: one row for each picture; a light is None for daylight.
+        media, developments, lights: one row for each picture; a light is None for daylight that is
+            alike in all directions.
         spans: nearest, median and farthest effective distance of each picture, m. On a device blurs
             are planned for these, in a scene of grey.
         alike: True if all have one width law, and all or none are metered.
     """
     planned = alike and not checks.on_host(images)
-    by_day = [i for i, light in enumerate(lights) if light is None] if planned else []
+    by_day = _of_one_day(lights) if planned else []
     results: dict[int, Tensor] = {}
     if by_day:
         rows = slice(None) if len(by_day) == len(images) else by_day
@@ -59,6 +62,7 @@ def form_each(
             [media[i] for i in by_day],
             [developments[i] for i in by_day],
             [spans[i] for i in by_day],
+            [lights[i] for i in by_day],
             color_space,
         )
         if len(by_day) == len(images):
@@ -89,13 +93,28 @@ def _at_once(
     media: Sequence[Medium],
     developments: Sequence[Development],
     spans: Sequence[tuple[float, float, float]],
+    lights: Sequence[Light | None],
     color_space: ColorSpace,
 ) -> Tensor:
     """Form all pictures by daylight at once, without reading their values on the host."""
     medium, development = Medium.stack(media), Development.stack(developments, z)
+    light = lights[0]
+    if light is not None:
+        light = replace(light, pitch=torch.tensor([day.pitch for day in lights if day]))
     grey = _of_grey(medium, developments, spans)
     plans = _plans([grey[i] for i in range(len(spans))], spans, z)
-    return form(images, z, medium, development, color_space=color_space, plans=plans)
+    return form(images, z, medium, development, color_space=color_space, light=light, plans=plans)
+
+
+def _of_one_day(lights: Sequence[Light | None]) -> list[int]:
+    """Indices of pictures by daylight alone, which differ at most in the pitch of the camera."""
+    days: dict[Any, list[int]] = {}
+    for i, light in enumerate(lights):
+        if light is None:
+            days.setdefault(None, []).append(i)
+        elif not light.lamps and isinstance(light.pitch, float):
+            days.setdefault((light.daylight, light.view), []).append(i)
+    return max(days.values(), key=len, default=[])
 
 
 def _plans(

@@ -1,10 +1,11 @@
-"""Lamps near the camera, and daylight beside them.
+"""Daylight and its direction, and lamps near the camera.
 
 Lights add. With T_β, T_G and V of the medium and c for a channel of the picture,
 
-    daylight  daylight·T_β, daylight·(T_G − T_β), daylight·(V(0) − V)
+    daylight  daylight·T_β, daylight·(T_G − T_β), daylight·(V(0) − V)·(1 − .8·s)⁻²
     a lamp    share·A_c, (1 − share)·A_c, and its backscatter (see `uwaug.light.backscatter`)
 
+s is the sine of a ray's elevation, see `uwaug.light.direction`; 0 everywhere without a pitch.
 A_c = power·color_c·cone(ψ)/r²·T_G,c(r + z) is a lamp's light that arrives after both ways through
 the water, r from the lamp to the surface and z from there to the camera. On the way to the scene,
 light that is scattered forward still lights it. The share T_β(z)/T_G(z) has come straight from the
@@ -21,6 +22,7 @@ from torch import Tensor
 
 from uwaug._support import checks, codec
 from uwaug.light.backscatter import Cone, backscatter
+from uwaug.light.direction import veil_factor
 from uwaug.light.rays import Rays, Vector
 from uwaug.optics.curves import Curves, added, decay, passed
 from uwaug.optics.medium import Medium
@@ -130,12 +132,16 @@ class Lamp:
 @codec.plain
 @dataclass(frozen=True)
 class Light:
-    """Lamps near the camera, and daylight beside them.
+    """Daylight and its direction, and lamps near the camera.
 
     Attributes:
         lamps: any number of `Lamp`.
         daylight: factor of daylight, and of its veil; ≥ 0.
         view: horizontal angle of view of the camera, degrees, 1…170.
+        pitch: angle of the camera's axis above the horizon, degrees, −90…90, or a tensor of one for
+            each picture (B), which may require gradients: the veil of daylight is brighter towards
+            the surface, see `uwaug.light.direction`. None: alike in all directions, as in the
+            paper.
 
     Raises:
         TypeError, ValueError: if a lamp is no `Lamp`, or a number is outside its domain.
@@ -149,6 +155,7 @@ class Light:
     lamps: tuple[Lamp, ...] = ()
     daylight: float = 1.0
     view: float = 60.0
+    pitch: float | Tensor | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.lamps, (Lamp, Mapping)) or not isinstance(self.lamps, (tuple, list)):
@@ -160,10 +167,17 @@ class Light:
         object.__setattr__(self, "lamps", tuple(lamps))
         checks.within("daylight", self.daylight, 0.0)
         checks.within("view", self.view, 1.0, 170.0)
+        if isinstance(self.pitch, Tensor):
+            checks.floating("pitch", self.pitch)
+            for angle in self.pitch.detach().flatten().tolist():
+                checks.within("pitch", angle, -90.0, 90.0)
+        elif self.pitch is not None:
+            checks.within("pitch", self.pitch, -90.0, 90.0)
 
     def curves(self, medium: Medium, z: Tensor, metres: Tensor | None = None) -> Curves:
         """Light of a white scene that reaches the camera at each pixel: unscattered, scattered
-        forward, and the veil. In place of `Medium.curves`; gradients pass to distances and medium.
+        forward, and the veil. In place of `Medium.curves`; gradients pass to distances, medium and
+        pitch.
 
         Args:
             medium: of B or 1 rows, of the type of z.
@@ -171,6 +185,8 @@ class Light:
             metres (Bx1xHxW tensor): the distance itself, if there is a field.
         """
         day = medium.brightened(z.new_full((1, 1), self.daylight)).curves(z)
+        if self.pitch is not None:
+            day = day._replace(veil=day.veil * veil_factor(self.pitch, z, self.view))
         if not self.lamps:
             return day
         density: float | Tensor = 1.0

@@ -245,44 +245,56 @@ export function waterTable(scene, settings, tables) {
     table.set(row, entry * size);
   }
   const veil = Math.max(...table.slice(-size - 3, -size));
-  return { table, contents, depth, scale, veil, visibility: visibility(water, tables) };
+  return { table, rise: riseOf(scene, settings.pitch, tables), contents, depth, scale, veil, visibility: visibility(water, tables) };
 }
 
-/** Share of the contrast of grey detail that is left at a place of the table. */
-export function contrastLeft(place, { table }, K, { luminance, reflectance }) {
+/** Light of grey detail, of its surface, and of the level veil at a place of the table. */
+export function lightAt(place, { table }, K, { luminance, reflectance }) {
   const row = table.subarray(Math.min(Math.round(place), ENTRIES) * (K + 21) + K);
-  let detail = 0, whole = 0;
+  let detail = 0, surface = 0, veil = 0;
   for (let c = 0; c < 3; c++) {
     const direct = row[3 * c] + row[3 * c + 1] + row[3 * c + 2];
     const scatter = row[9 + 3 * c] + row[10 + 3 * c] + row[11 + 3 * c];
     detail += luminance[c] * direct * reflectance;
-    whole += luminance[c] * ((direct + scatter) * reflectance + row[18 + c]);
+    surface += luminance[c] * (direct + scatter) * reflectance;
+    veil += luminance[c] * row[18 + c];
   }
-  return whole > 0 ? detail / whole : 0;
+  return [detail, surface, veil];
+}
+
+/** Factors of the veil in the rows of a picture: uwaug/light/direction.py; pitch in degrees. */
+export function riseOf({ width, height }, pitch, { direction: { view, rise } }) {
+  const focal = width / 2 / Math.tan(view * Math.PI / 360), [sine, cosine] = [Math.sin, Math.cos].map(f => f(pitch * Math.PI / 180));
+  return Float32Array.from({ length: height }, (_, y) => {
+    const down = (y - (height - 1) / 2) / focal;
+    return (1 - rise * (sine - down * cosine) / Math.hypot(1, down)) ** -2;
+  });
 }
 
 // --- the camera: uwaug/formation/development.py -----------------------------------------------------
 
 /** One 3x3 matrix: exposure, white balance and saturation, of some pixels without their blur. */
-export function gainOf(scene, { table }, { exposure, white_balance, saturation }, tables) {
+export function gainOf(scene, { table, rise }, { exposure, white_balance, saturation }, tables) {
   const { pixels, light, points, place, K } = scene, size = K + 21, { luminance, meter } = tables;
-  const before = [0, 0, 0], after = [0, 0, 0], positive = [0, 0, 0];
+  const before = [0, 0, 0], after = [0, 0, 0], positive = [0, 0, 0], brightness = [];
   const Y = colour => sum(join(colour, luminance, (x, weight) => x * weight));
   for (const p of points) {
     const entry = Math.floor(place[p]), t = place[p] - entry, at = entry * size + K;
     const J = [0, 1, 2].map(c => light[pixels[4 * p + c]]);
+    let Yp = 0;
     for (let c = 0; c < 3; c++) {
       const curve = j => table[at + j] + t * (table[at + size + j] - table[at + j]);
-      let arriving = curve(18 + c);
+      let arriving = curve(18 + c) * rise[Math.floor(p / scene.width)];
       for (let j = 0; j < 3; j++) arriving += (curve(3 * c + j) + curve(9 + 3 * c + j)) * J[j];
+      Yp += luminance[c] * arriving;
       before[c] += J[c] / meter.count;
       after[c] += arriving / meter.count;
       positive[c] += Math.max(arriving, 0) / meter.count;
     }
+    brightness.push(Yp);
   }
-  const farthest = (scene.open ? ENTRIES : ENTRIES - 1) * size + K + 18;
-  const veil = Math.max(...table.subarray(farthest, farthest + 3)), [least, most] = meter.gains;
-  const metered = Y(after) > 0 ? Math.min(Math.max(Y(before) / Y(after), least), most, 1 / Math.max(veil, 1 / most)) : 1;
+  const highlight = brightness.sort((a, b) => b - a)[Math.round(meter.burnt * meter.count) - 1], [least, most] = meter.gains;
+  const metered = Y(after) > 0 ? Math.min(Math.max(Y(before) / Y(after), least), most, 1 / Math.max(highlight, 1 / most)) : 1;
   const share = Math.max(white_balance, 0), mean = Y(positive);
   let balance = [1, 1, 1];
   if (share > 0 && mean > 0) {
@@ -325,7 +337,7 @@ function standardNormals() {
  * The picture (RGBA bytes) of every `step`-th pixel. `terms` switches direct, forward and veil;
  * `exact` (3 floats a pixel) gets the light after the gamut, before tone and bytes.
  */
-export function form(scene, { table }, gain, { gamut, tone, full_well: well, read_noise: read }, { step = 1, terms, exact }, tables) {
+export function form(scene, { table, rise }, gain, { gamut, tone, full_well: well, read_noise: read }, { step = 1, terms, exact }, tables) {
   const { light, stack, place, K } = scene, size = K + 21, B = K - 1, { from } = tables.tone, beyondFrom = 1 - from;
   const width = Math.ceil(scene.width / step), height = Math.ceil(scene.height / step);
   const shown = new Uint8ClampedArray(4 * width * height), bytes = bytesOf(tone, tables.tone);
@@ -353,7 +365,7 @@ export function form(scene, { table }, gain, { gamut, tone, full_well: well, rea
       const nextD = table[i] * J0 + table[i + 1] * J1 + table[i + 2] * J2;
       const nextF = table[i + 9] * soft0 + table[i + 10] * soft1 + table[i + 11] * soft2;
       const B = table[v] + t * (table[v + size] - table[v]);
-      let arriving = direct * (D + t * (nextD - D)) + forward * (F + t * (nextF - F)) + veil * B;
+      let arriving = direct * (D + t * (nextD - D)) + forward * (F + t * (nextF - F)) + veil * B * rise[y * step];
       if (noise) {
         const deviation = Math.sqrt(Math.max(arriving, 0) / well + dark);
         arriving += deviation * noise[Math.imul(3 * p + c, 0x9e3779b1) >>> 16];

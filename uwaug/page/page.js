@@ -12,6 +12,7 @@ const SLIDERS = {
   share: ["mixture", "How much of it", 0, 0, 1, percent],
   contrast: ["water-controls", "Clarity: contrast left midway", 0.4, 0.02, 0.95, percent, "drawn"],
   vertical_depth: ["water-controls", "Depth", 3, 0, 30, v => `${v.toFixed(1)} m`, "drawn"],
+  pitch: ["water-controls", "Camera looks up", 0, -60, 60, v => `${v.toFixed(0)}°`, "drawn"],
   times: ["distances", "Stretch the distances", 1, 0.1, 10, v => `× ${v.toPrecision(2)}`, "log"],
   exposure: ["camera-controls", "Brightness", 0, -3, 3, v => `${v.toFixed(1)} stops`, "drawn"],
   white_balance: ["camera-controls", "White balance", 0.3, 0, 1, percent, "drawn"],
@@ -251,8 +252,10 @@ function pointed(event) {
   if (event.buttons) split(100 * u);
   if (!scene || !shown || !(u >= 0 && u < 1 && v >= 0 && v < 1)) return;
   const z = scene.distance[Math.floor(v * scene.height) * scene.width + Math.floor(u * scene.width)];
-  const last = shown.left.length - 1, entry = Math.round(Math.log(z / shown.near) / shown.stepOfPlace);
-  const left = shown.left[z === Infinity ? last : Math.min(entry, last - 1)];
+  const last = shown.lights.length - 1, entry = Math.round(Math.log(z / shown.near) / shown.stepOfPlace);
+  const [detail, surface, veil] = shown.lights[z === Infinity ? last : Math.min(entry, last - 1)];
+  const rise = shown.rise[Math.min(Math.floor(v * shown.rise.length), shown.rise.length - 1)];
+  const left = detail > 0 ? detail / (surface + rise * veil) : 0;
   const metres = z === Infinity ? "open water" : `${(z * state.times).toPrecision(3)} m`;
   $("readout").innerHTML = `<b>${metres}</b> away, <b>${(100 * left).toPrecision(2)} %</b> of fine contrast left
     <span>(--min-contrast ${left.toPrecision(2)})</span>`;
@@ -411,7 +414,8 @@ function optionsOf(files, everything) {
   if (held("contrast") || nature) ofWater.contrast = nature ? null : state.contrast;
   if (held("water") && !nature) ofWater.contrast_by = "contents";
   if (held("vertical_depth")) ofWater.vertical_depth = state.vertical_depth;
-  if (everything) ofWater.field = options.light = null;
+  if (everything) ofWater.field = null;
+  if (held("pitch")) options.light = { pitch: state.pitch, ...everything && { share: 0 } };
   if (g !== DEFAULTS.g) ofWater.g = g;
   if (held("mu")) ofWater.mu = mu;
   if (held("color_matrix")) ofWater.color_matrix = state.color_matrix;

@@ -13,6 +13,7 @@ from uwaug.blur.plan import BlurPlan, place_line, plan_blur
 from uwaug.distance import cue
 from uwaug.formation import development
 from uwaug.formation.colour import LUMINANCE
+from uwaug.light import Light, direction
 from uwaug.optics import constituents
 from uwaug.optics.camera import load_camera, response_at
 from uwaug.optics.curves import FARTHEST
@@ -25,6 +26,7 @@ from uwaug.transforms import random_water
 from uwaug.transforms.appearance import WATER_FEATURES
 from uwaug.transforms.measured import SAMPLED
 from uwaug.transforms.random_development import RandomDevelopment
+from uwaug.transforms.random_light import RandomLight
 from uwaug.transforms.random_underwater import SEVERITIES
 from uwaug.transforms.random_water import RandomWater
 
@@ -83,6 +85,7 @@ def tables() -> dict[str, Any]:
         "reflectance": _REFLECTANCE,
         "dimmest": random_water.DIMMEST,
         "much": random_water.MOST_CONTENTS,
+        "direction": {"view": Light.view, "rise": direction.RISE},
         "sizes": dict(zip(("nearest", "farthest"), random_water.MEDIANS, strict=True)),
         "meter": {
             "count": development.METERED,
@@ -91,6 +94,7 @@ def tables() -> dict[str, Any]:
             "turn": development.TURN,
             "gains": development.GAINS,
             "most": development.MOST,
+            "burnt": development.BURNT,
         },
         "tone": {
             "from": development.GAMUT_FROM,
@@ -162,6 +166,7 @@ def _draws() -> dict[str, Any]:
             "vertical_depth": water.vertical_depth,
             "mu": water.mu,
             "color_matrix": water.color_matrix,
+            "pitch": RandomLight.pitch,
             **development.ranges(),
         },
     }

@@ -38,10 +38,10 @@ const answers = {
   },
   form({ settings, terms, step }) {
     const water = waterTable(scene, settings, tables), gain = gainOf(scene, water, settings, tables);
-    const left = Float32Array.from({ length: ENTRIES + 1 }, (_, place) => contrastLeft(place, water, scene.K, tables));
+    const lights = Array.from({ length: ENTRIES + 1 }, (_, place) => lightAt(place, water, scene.K, tables));
     const { table, ...said } = water;
     const { near, step: stepOfPlace } = scene;
-    return { ...form(scene, water, gain, settings, { step, terms }, tables), ...said, left, near, stepOfPlace };
+    return { ...form(scene, water, gain, settings, { step, terms }, tables), ...said, lights, rise: water.rise, near, stepOfPlace };
   },
   draw({ settings, held, seed, step }) {
     const drawn = drawnBy(randomOf(seed), settings, held, tables.draws);

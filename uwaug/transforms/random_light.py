@@ -1,8 +1,9 @@
-"""Random light: daylight, or lamps with what is left of daylight beside them."""
+"""Random light: daylight from above, or lamps with what is left of it."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 from uwaug._support import checks, codec
@@ -44,8 +45,8 @@ _OPEN_WATER_M = 8.0
 @codec.plain
 @dataclass(frozen=True, repr=False)
 class RandomLight(Noun):
-    """Draws the light of each picture: daylight for most, and for some lamps near the camera, as at
-    night or where hardly any daylight comes.
+    """Draws the light of each picture: daylight from above for most, and for some lamps near the
+    camera, as at night or where hardly any daylight comes.
 
     A range is a number or (low, high), drawn uniformly.
 
@@ -54,6 +55,8 @@ class RandomLight(Noun):
         rigs: mounts of lamps, of "vehicle" (2 to 4, above and beside), "diver" (1 or 2, on arms)
             and "strobe" (1 or 2, at the lens); picked with equal weight.
         daylight: factor of daylight beside the lamps, see `uwaug.Light`.
+        pitch: angle of the camera's axis above the horizon, degrees: water is brighter towards the
+            surface; None: alike in all directions.
         power: stops by which all lamps together make a white plate at the median distance, in air,
             brighter than daylight at the surface does.
         cone: as for `uwaug.Lamp`, degrees.
@@ -74,6 +77,7 @@ class RandomLight(Noun):
     across: Range = number((-0.1, 0.1), -2.0, 2.0)
     down: Range = number((0.05, 0.3), -2.0, 2.0)
     tint: Range = number((-1.7, 0.3), -2.0, 2.0)
+    pitch: Range | None = number((-25.0, 15.0), -90.0, 90.0)
 
     def __post_init__(self) -> None:
         checks.within("share", self.share, 0.0, 1.0)
@@ -91,23 +95,29 @@ class RandomLight(Noun):
         return {**super().ranges(), **places}
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
-        """See `Noun.drawn`; empty by daylight."""
-        return super().drawn(uniform) if uniform("share") < self.share else {}
+        """See `Noun.drawn`; by daylight a pitch alone."""
+        return super().drawn(uniform) if uniform("share") < self.share else self._day.drawn(uniform)
 
     def require(self, draw: Drawn, name: str) -> None:
         """See `Noun.require`."""
-        if draw != {}:
+        if "rig" in draw:
             super().require(draw, name)
+        else:
+            self._day.require(draw, name)
 
     def random(self) -> list[str]:
         """See `Noun.random`."""
-        names = super().random()
-        return ["share", *names] if self.share > 0 else []
+        return ["share", *super().random()] if self.share > 0 else self._day.random()
+
+    @cached_property
+    def _day(self) -> "_Day":
+        return _Day(self.pitch)
 
     def of(self, draw: Drawn, measured: Measured) -> Light | None:
-        """The light of a picture; None for daylight."""
-        if not draw:
-            return None
+        """The light of a picture; None for daylight that is alike in all directions."""
+        pitch = draw.get("pitch")
+        if "rig" not in draw:
+            return None if pitch is None else Light(pitch=pitch)
         metres = measured.median if math.isfinite(measured.median) else _OPEN_WATER_M
         rig = RIGS[_picked(draw["rig"], self.rigs)]
         low, high = rig.lamps
@@ -130,7 +140,14 @@ class RandomLight(Noun):
                     color=(2 ** (-tint / 2), 1.0, 2 ** (tint / 2)),
                 )
             )
-        return Light(tuple(lamps), draw["daylight"])
+        return Light(tuple(lamps), draw["daylight"], pitch=pitch)
+
+
+@dataclass(frozen=True)
+class _Day(Noun):
+    """What is random about daylight without lamps."""
+
+    pitch: Range | None = number(None, -90.0, 90.0)
 
 
 def _picked(share: float, choices: Sequence[T]) -> T:

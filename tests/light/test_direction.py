@@ -1,0 +1,139 @@
+"""Daylight from above."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from scenes import rand
+from torch import Tensor
+
+from uwaug import Development, Lamp, Light, Medium, RandomLight, RandomUnderwater, Underwater
+from uwaug.formation.each import form_each
+from uwaug.light.direction import veil_factor
+
+MEDIUM = Medium.from_water("3C", vertical_depth=6.0, g=0.05, mu=0.05)
+SPECTRAL = Medium.from_water("3C", vertical_depth=6.0, surfaces="spectral")
+LAMP = Lamp((0.4, -0.3, 0.0), 2.0)
+
+
+def scene(batch: int = 2) -> tuple[Tensor, Tensor]:
+    z = 0.5 + 4 * rand(batch, 1, 30, 44, seed=1)
+    z[..., :9, :] = torch.inf
+    return rand(batch, 3, 30, 44).float(), z.float()
+
+
+def test_a_row_sees_what_its_elevation_does() -> None:
+    height, width, view = 480, 640, 60.0
+    factors = veil_factor(20.0, torch.zeros(1, 1, height, width), view).flatten()
+    focal = width / 2 / math.tan(math.radians(view / 2))
+    for row in (0, 100, 479):
+        elevation = math.radians(20) - math.atan((row - (height - 1) / 2) / focal)
+        assert float(factors[row]) == pytest.approx((1 - 0.8 * math.sin(elevation)) ** -2, rel=1e-5)
+
+
+@pytest.mark.parametrize("light", [Light(pitch=0.0), Light([LAMP], daylight=0.5, pitch=0.0)])
+def test_the_veil_alone_is_multiplied(light: Light) -> None:
+    _, z = scene()
+    z = z.double().clamp(max=1e6)
+    level = Light(light.lamps, light.daylight)
+    day = Light((), light.daylight).curves(MEDIUM, z).veil
+    factors = veil_factor(0.0, z, 60.0)
+    curves, before = light.curves(MEDIUM, z), level.curves(MEDIUM, z)
+    assert torch.equal(curves.direct, before.direct)
+    assert torch.equal(curves.scatter, before.scatter)
+    torch.testing.assert_close(curves.veil, before.veil + (factors - 1) * day)
+
+
+@pytest.mark.parametrize("metered", [False, True])
+@pytest.mark.parametrize("medium", [MEDIUM, SPECTRAL], ids=["grey", "spectral"])
+@pytest.mark.parametrize(
+    "light", [Light(pitch=12.0), Light([LAMP], daylight=0.3, pitch=-20.0)], ids=["day", "lamp"]
+)
+def test_loops_and_pytorch_agree(light: Light, medium: Medium, metered: bool) -> None:
+    image, z = scene()
+    options: dict[str, Any] = {"light": light, "development": Development(metered=metered)}
+    options["distance_range"] = None
+    fast = Underwater(medium.to(torch.float32), **options)(image, z)
+    exact = Underwater(medium, **options)(image.double(), z.double())
+    assert (fast - exact).abs().max() < 5e-6
+
+
+def test_each_picture_has_its_pitch() -> None:
+    image, z = scene()
+    water, pitches = MEDIUM.to(torch.float32), (12.0, -30.0)
+
+    def degraded(pitch: float | Tensor, rows: slice) -> Tensor:
+        light = Light(pitch=pitch)
+        return Underwater(water, light=light, distance_range=None)(image[rows], z[rows])
+
+    together = degraded(torch.tensor(pitches), slice(None))
+    for i, pitch in enumerate(pitches):
+        alone = degraded(pitch, slice(i, i + 1))
+        assert (together[i : i + 1] - alone).abs().max() < 1e-6
+
+
+def test_gradients_of_pitch() -> None:
+    image, z = (x.double() for x in scene(1))
+    module = Underwater(MEDIUM, distance_range=None)
+
+    def degraded(pitch: Tensor) -> Tensor:
+        module.light = Light(pitch=pitch)
+        return module(image, z)[..., ::7, ::11]
+
+    pitch = torch.tensor([5.0], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(degraded, pitch)
+
+
+def test_batches_on_a_device_are_formed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    image, z = scene(3)
+    monkeypatch.setattr("uwaug._support.checks.on_host", lambda x: False)
+    monkeypatch.setenv("UWAUG_FAST", "0")
+    lights = [Light(pitch=10.0), Light([LAMP], pitch=10.0), Light(pitch=-25.0)]
+    arguments: dict[str, Any] = {"color_space": "linear", "spans": [(0.5, 2.0, 5.0)] * 3}
+    finite = z.clamp(max=1e6)
+    arguments |= {"metres": finite, "alike": True}
+    pictures = form_each(
+        image, finite, [MEDIUM] * 3, [Development()] * 3, lights=lights, **arguments
+    )
+    for i, light in enumerate(lights):
+        alone = Underwater(MEDIUM, light=light, color_space="linear", distance_range=None)
+        assert (pictures[i] - alone(image[i], z[i])).abs().max() < 5e-3  # other plans of the blur
+
+
+def test_random_pictures_look_up_and_down() -> None:
+    augment = RandomUnderwater(light=RandomLight(share=0.0, pitch=(-40.0, 40.0)))
+    image, z = scene(1)
+    samples = augment.make_params(image.expand(64, -1, -1, -1))["samples"]
+    pitches = [sample["light"]["pitch"] for sample in samples]
+    assert min(pitches) < -30 < 30 < max(pitches)
+    for sample in samples[:4]:
+        picture = augment.transform(image, z, {"samples": [sample]})
+        level = augment.transform(image, z, {"samples": [{**sample, "light": {"pitch": 0.0}}]})
+        assert not torch.equal(picture, level)
+    params, level = {"samples": samples[:1]}, RandomLight(share=0.0, pitch=None)
+    with pytest.raises(ValueError, match=r"other options: light\.pitch"):
+        RandomUnderwater(light=level).transform(image, z, params)
+
+
+def test_without_a_pitch_there_is_no_direction() -> None:
+    image, z = scene(1)
+    augment = RandomUnderwater(light=RandomLight(share=0.0, pitch=None))
+    params = augment.make_params(image)
+    assert params["samples"][0]["light"] == {}
+    paper = RandomUnderwater(light=None).transform(image, z, params)
+    assert torch.equal(augment.transform(image, z, params), paper)
+
+
+@pytest.mark.parametrize(
+    "pitch, message",
+    [
+        (91.0, "pitch must be in"),
+        (torch.tensor([91.0]), "pitch must be in"),
+        (torch.tensor([1]), "pitch must be a floating-point tensor"),
+        ("up", "pitch must be in"),
+    ],
+)
+def test_wrong_pitches_are_refused(pitch: Any, message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        Light(pitch=pitch)
