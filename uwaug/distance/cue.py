@@ -114,8 +114,8 @@ def layers_of(weights: Weights) -> Convolve:
 def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
     """Guess distances of a picture (3xHxW, sRGB in 0…1). A mirrored picture gets them mirrored.
 
-    Returns (H/2xW/2 each): logarithms of distance, up to scale and shift; and the probability of open
-    water, sky or a plain backdrop.
+    Returns (H/2xW/2 each): logarithms of distance, up to scale and shift; and the probability of
+    open water, sky or a plain backdrop.
     """
     ways = torch.stack([picture, picture.flip(2)]).contiguous(memory_format=torch.channels_last)
     convolve = layers_of(weights)

@@ -65,8 +65,8 @@ class MadeUp(Source):
     reads_maps = False
     reads_pictures = True
 
-    near: Range = number((0.7, 2.0), 0.0)
-    far: Range = number((2.2, 7.0), 0.0)
+    near: Range = number((0.7, 1.8), 0.0)
+    far: Range = number((2.5, 8.0), 0.0)
     cue: Literal["network", "ramp"] = "network"
 
     def __post_init__(self) -> None:
