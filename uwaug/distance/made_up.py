@@ -35,7 +35,7 @@ _SURE, _OPEN_FROM, _OPEN_TO = 0.7, 0.4, 0.6
 _GUIDE_PX = 2
 """Reach (px of the small copy) over which distances follow the picture's colours."""
 
-_EDGE_VARIANCE = 0.01
+_EDGE_VARIANCE = 0.02
 """Variance of colours (0…1) below which there is no edge."""
 
 

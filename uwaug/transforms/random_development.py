@@ -43,9 +43,9 @@ class RandomDevelopment(Noun):
         "tone": 1.0,
     }
 
-    exposure: Range = number((-1.2, 0.4), *DOMAINS["exposure"])
+    exposure: Range = number((-1.1, 0.8), *DOMAINS["exposure"])
     metered: bool = True
-    white_balance: Range = number((-1.0, 0.3), *DOMAINS["white_balance"])
+    white_balance: Range = number((-0.8, 0.7), *DOMAINS["white_balance"])
     saturation: Range = number((0.85, 1.3), *DOMAINS["saturation"])
     gamut: Range = number((0.7, 1.0), *DOMAINS["gamut"])
     tone: Range = number((0.9, 1.6), *DOMAINS["tone"])
