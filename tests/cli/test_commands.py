@@ -55,7 +55,7 @@ def test_pictures_alone_get_distances_that_are_made_up(folder, run):
     assert "4 of 4 pictures written to wet" in out
     assert (folder / "wet/sheet.jpg").is_file()
     # said explicitly, by one process, they are the same; and nobody is told twice
-    code, out, _ = run(*bare, "again", "--distance", "made-up", "--set", "distance.far=[2.2, 7]")
+    code, out, _ = run(*bare, "again", "--distance", "made-up", "--set", "distance.far=[2.5, 8]")
     assert code == 0
     assert "guessed" not in out
     assert len(written(folder / "wet")) == 4

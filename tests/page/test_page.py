@@ -289,4 +289,4 @@ def test_own_files(shown: Shown) -> None:
 
 def test_a_page_of_the_bundled_scene_is_small_enough_to_mail(tmp_path: Path) -> None:
     command(f"page --out {tmp_path / 'page.html'}")
-    assert (tmp_path / "page.html").stat().st_size < 2.6e6
+    assert (tmp_path / "page.html").stat().st_size < 3.6e6

@@ -176,12 +176,12 @@ class RandomWater(Noun):
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = number((0.07, 0.6), 1e-3, 1.0, logarithmic=True)
+    contrast: Range | None = number((0.07, 0.5), 1e-3, 1.0, logarithmic=True)
     contrast_by: Knob | None = None
     mixing: Range = number(0.0, *DOMAIN["mixing"])
     vertical_depth: Range = number((1.0, 14.0), *DOMAIN["vertical_depth"])
     g: Range = number(0.05, *DOMAIN["g"])
-    mu: Range | None = number((0.03, 0.08), *DOMAIN["mu"])
+    mu: Range | None = number((0.02, 0.07), *DOMAIN["mu"])
     point_spread: PointSpread | None = None
     field: tuple[float, float] | None = (0.8, 1.2)
     camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)"
