@@ -43,10 +43,10 @@ class RandomDevelopment(Noun):
         "tone": 1.0,
     }
 
-    exposure: Range = number((-1.1, 0.8), *DOMAINS["exposure"])
+    exposure: Range = number((-1.2, 0.5), *DOMAINS["exposure"])
     metered: bool = True
     white_balance: Range = number((-0.8, 0.5), *DOMAINS["white_balance"])
-    saturation: Range = number((0.9, 1.4), *DOMAINS["saturation"])
+    saturation: Range = number((0.85, 1.35), *DOMAINS["saturation"])
     gamut: Range = number((0.7, 1.0), *DOMAINS["gamut"])
     tone: Range = number((0.9, 1.6), *DOMAINS["tone"])
     color_space: ColorSpace = "srgb"

@@ -34,9 +34,10 @@ Knob = Literal["contents", "distance"]
 CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.35), minerals=(0.25, 4.0))
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
-WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", "9C", *[CONTENTS] * 8)
+WATERS = ("IB", "II", "III", "1C", "3C", "5C", *[CONTENTS] * 6)
 """Half of the default waters are Jerlov types, half are of other contents. The clear oceanic types
-would need 11 to 66 times what is in them to reach a contrast, and turn dark green. (Others that
+would need 11 to 66 times what is in them to reach a contrast, and turn dark green. In 7C and 9C by
+name nearly one colour is left, which looks like a filter; silt makes such waters grey. (Others that
 were tried: benchmarks/CHOICES.md, default draws.)
 """
 
@@ -176,10 +177,10 @@ class RandomWater(Noun):
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = number((0.07, 0.5), 1e-3, 1.0, logarithmic=True)
+    contrast: Range | None = number((0.07, 0.45), 1e-3, 1.0, logarithmic=True)
     contrast_by: Knob | None = None
     mixing: Range = number(0.0, *DOMAIN["mixing"])
-    vertical_depth: Range = number((1.0, 14.0), *DOMAIN["vertical_depth"])
+    vertical_depth: Range = number((2.0, 13.0), *DOMAIN["vertical_depth"])
     g: Range = number(0.05, *DOMAIN["g"])
     mu: Range | None = number((0.02, 0.07), *DOMAIN["mu"])
     point_spread: PointSpread | None = None
