@@ -1,5 +1,6 @@
 """Daylight from above."""
 
+import json
 import math
 from typing import Any
 
@@ -9,6 +10,7 @@ from scenes import rand
 from torch import Tensor
 
 from uwaug import Development, Lamp, Light, Medium, RandomLight, RandomUnderwater, Underwater
+from uwaug._support.codec import from_plain, to_plain
 from uwaug.formation.each import form_each
 from uwaug.light.direction import veil_factor
 
@@ -123,6 +125,13 @@ def test_without_a_pitch_there_is_no_direction() -> None:
     assert params["samples"][0]["light"] == {}
     paper = RandomUnderwater(light=None).transform(image, z, params)
     assert torch.equal(augment.transform(image, z, params), paper)
+
+
+def test_pitches_are_written_and_read() -> None:
+    light = Light(pitch=torch.tensor([5.0, -3.0]))
+    read = from_plain(json.loads(json.dumps(to_plain(light))), Light)
+    assert isinstance(read.pitch, Tensor)
+    assert torch.equal(read.pitch, torch.tensor([5.0, -3.0]))
 
 
 @pytest.mark.parametrize(

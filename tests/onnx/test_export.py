@@ -25,7 +25,7 @@ pytest.importorskip("onnxruntime")
 
 MEDIUM = Medium.from_coefficients((1.0, 0.8, 0.9), (0.4, 0.3, 0.5), (0.1, 0.3, 0.4))
 CLEAR = Underwater(MEDIUM, (1.0, 5.0))  # without a blur, as to export each takes seconds
-LIGHT = Light([Lamp((0.3, -0.2, 0.0), power=4.0, aim=(-0.05, 0.05, 1.0), cone=40.0)])
+LIGHT = Light([Lamp((0.3, -0.2, 0.0), power=4.0, aim=(-0.05, 0.05, 1.0), cone=40.0)], pitch=10.0)
 
 
 @pytest.mark.parametrize("name", ["frozen", "waters"])

@@ -18,6 +18,7 @@ benchmarks.accuracy.direction`):
 """
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -28,7 +29,7 @@ RISE = 0.8
 """Share K_d/G of the attenuation of daylight in that of the veil."""
 
 
-def veil_factor(pitch: float | Tensor, z: Tensor, view: float) -> Tensor:
+def veil_factor(pitch: float | Tensor | Sequence[float], z: Tensor, view: float) -> Tensor:
     """Factor of daylight's veil in each row of pictures (B or 1, 1, H, 1).
 
     Args:

@@ -155,7 +155,7 @@ class Light:
     lamps: tuple[Lamp, ...] = ()
     daylight: float = 1.0
     view: float = 60.0
-    pitch: float | Tensor | None = None
+    pitch: float | Tensor | Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.lamps, (Lamp, Mapping)) or not isinstance(self.lamps, (tuple, list)):
@@ -167,6 +167,8 @@ class Light:
         object.__setattr__(self, "lamps", tuple(lamps))
         checks.within("daylight", self.daylight, 0.0)
         checks.within("view", self.view, 1.0, 170.0)
+        if isinstance(self.pitch, (tuple, list)):  # a tensor, as it is written
+            object.__setattr__(self, "pitch", torch.tensor(self.pitch))
         if isinstance(self.pitch, Tensor):
             checks.floating("pitch", self.pitch)
             for angle in self.pitch.detach().flatten().tolist():
