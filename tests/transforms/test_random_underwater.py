@@ -517,7 +517,7 @@ def test_default_draws_are_waters(metres: float) -> None:
     aug, z = RandomUnderwater(), torch.full((1, H, W), metres)
     params = aug.make_params(picture())
     (sample,) = params["samples"]
-    for water in WATERS[:8]:
+    for water in (water for water in WATERS if isinstance(water, str)):
         for contrast in (0.08, 0.9):
             sample["water"] |= {"waters": [water], "contrast": contrast}
             aug.scenes(picture(), z, params)
