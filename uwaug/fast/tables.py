@@ -15,7 +15,7 @@ from uwaug.blur.kernels import blur_kernel
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
 from uwaug.formation.demand import Weights, widths_at
 from uwaug.light.backscatter import ASYMMETRY, NODE_WEIGHTS, NODES
-from uwaug.light.direction import veil_factor
+from uwaug.light.direction import factor_of
 from uwaug.light.light import LAMP_RADIUS_M, Light
 from uwaug.optics.medium import Medium
 
@@ -381,8 +381,11 @@ def rise_table(light: Light | None, size: Size) -> Floats:
     """
     if light is None or light.pitch is None:
         return np.ones((1, 0), np.float32)
-    factors = veil_factor(light.pitch, torch.empty(1, 1, *size, device="cpu"), light.view)
-    return _floats(factors.detach().flatten(1))
+    pitch = light.pitch.detach().numpy() if isinstance(light.pitch, torch.Tensor) else light.pitch
+    angles = np.radians(np.array(pitch, np.float64).reshape(-1, 1))
+    tangent = 2 * math.tan(math.radians(light.view / 2)) / size[1]
+    down = tangent * (np.arange(size[0]) - (size[0] - 1) / 2)
+    return _floats(factor_of(np.sin(angles), np.cos(angles), down))
 
 
 _NONE = [np.zeros((0,) * axes, np.float32) for axes in range(4)]

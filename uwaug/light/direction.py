@@ -19,11 +19,14 @@ benchmarks.accuracy.direction`):
 
 import math
 from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from uwaug.light.rays import Rays
+
+T = TypeVar("T", bound=Any)
 
 RISE = 0.8
 """Share K_d/G of the attenuation of daylight in that of the veil."""
@@ -37,7 +40,14 @@ def veil_factor(pitch: float | Tensor | Sequence[float], z: Tensor, view: float)
         z (Bx1xHxW tensor): a map of the pictures.
         view: horizontal angle of view, degrees.
     """
-    down = Rays.of(z, view).y
     angles = torch.as_tensor(pitch).to(z).reshape(-1, 1, 1, 1) * (math.pi / 180)
-    rise = (angles.sin() - down * angles.cos()) * (1 + down.square()).rsqrt()
-    return (1 - RISE * rise) ** -2
+    return factor_of(angles.sin(), angles.cos(), Rays.of(z, view).y)
+
+
+def factor_of(sine: T, cosine: T, down: T) -> T:
+    """Factor of the veil where the camera's axis has an elevation of that sine and cosine, and a
+    row that tangent of its angle down from the axis; arrays or tensors that broadcast.
+    """
+    rise: Any = (sine - down * cosine) / (1 + down * down) ** 0.5
+    factor: T = (1 - RISE * rise) ** -2
+    return factor
