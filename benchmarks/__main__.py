@@ -15,6 +15,7 @@ PARTS = {
     "stability": "accuracy",
     "physics": "accuracy",
     "surfaces": "accuracy",
+    "direction": "accuracy",
     "fitting_recovery": "accuracy",
     "draws": "accuracy",
     "like": "accuracy",
