@@ -71,6 +71,16 @@ def test_the_contrast_is_that_of_the_picture() -> None:
         assert value == pytest.approx(float(left[0, y1:y2, x1:x2].mean()), abs=1e-5)
 
 
+def test_a_box_has_all_pixels_that_it_touches() -> None:
+    touched, whole = (
+        [W // 2 - 1.0, 9.5, W // 2 + 0.5, 10.5],
+        [W // 2 - 1.0, 9.0, W // 2 + 1.0, 11.0],
+    )
+    *_, found = KeepVisible(AUGMENT, 0.0)(image(), distance(), target((touched, whole)))
+    ours, theirs = found["contrast"].tolist()
+    assert ours == theirs
+
+
 def test_distances_are_found_once() -> None:
     calls = []
 
