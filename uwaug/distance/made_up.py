@@ -21,7 +21,7 @@ from uwaug.distance.sources import Source, require_ends
 _OPEN_PROBABILITY = 0.75
 """Probability of open water where a picture has a place for it."""
 
-_RAMP_PROBABILITY = 0.1
+_RAMP_PROBABILITY = 0.03
 """Probability that a picture gets a ramp instead. Nets that train on it learn that water hides by
 distance, and not that this network is right.
 """
@@ -47,7 +47,7 @@ class MadeUp(Source):
     A small network that comes with the package guesses what is nearer than what, and where there is
     open water, such as sky. An exponent, a smooth field, and the presence of open water (in three
     of four) are drawn. Distances step where the picture has edges, and reach from near to far.
-    Mirrored pictures get mirrored maps. A tenth of the pictures, or all with `cue="ramp"`, get a
+    Mirrored pictures get mirrored maps. One of thirty pictures, or all with `cue="ramp"`, gets a
     ramp: what is lower in the picture is nearer.
 
     Order and sizes are guessed. That teaches a network that water hides far things more than near

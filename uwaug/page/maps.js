@@ -225,7 +225,7 @@ export function madeUp(pixels, width, height, random, cue, near = 1, far = 8) {
   }
   const mirrored = ({ width, values }) => values.map((_, i) => values[i - i % width + width - 1 - i % width]);
   const one = guessed(area, cue), other = guessed({ ...area, values: mirrored(area) }, cue);
-  const answer = mirrored(other).map((value, i) => (value + one.values[i]) / 2), ramp = random() < 0.1;
+  const answer = mirrored(other).map((value, i) => (value + one.values[i]) / 2), ramp = random() < 0.03;
   let log = ramp ? Float32Array.from({ length: n }, (_, p) => -Math.floor(p / w)) : answer.subarray(0, n);
   const chance = Float32Array.from({ length: n }, (_, p) => ramp ? 0 : 1 / (1 + Math.exp(-answer[n + p])));
   let open = chance.map(value => Math.min(Math.max((value - 0.4) / 0.2, 0), 1));
