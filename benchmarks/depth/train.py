@@ -396,7 +396,7 @@ def main(
                 continue
             to = out.with_stem(f"{out.stem} {name}") if compare else out
             train(pool, backbone, steps, settings, to, resume)
-            if judging:
+            if judging and not settings.is_fine:
                 way = measures.by_weights(cue.learnt(to))
                 print(name, measures.judged(way, judging), flush=True)
     finally:
@@ -411,7 +411,13 @@ if __name__ == "__main__":
     parser.add_argument("--encoder", type=Path, help="weights of YOLOX-nano, .npz")
     parser.add_argument("--judge", type=Path, nargs="*", default=(), help="pairs to judge by")
     parser.add_argument("--steps", type=int, default=12000)
-    parser.add_argument("--compare", nargs="*", default=(), help="variants, each for `steps`")
+    parser.add_argument(
+        "--compare",
+        nargs="*",
+        default=(),
+        choices=list(VARIANTS),
+        help="variants, each for `steps`",
+    )
     parser.add_argument("--resume", action="store_true", help="go on where it stopped")
     given = parser.parse_args()
     main(

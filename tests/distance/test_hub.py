@@ -114,6 +114,7 @@ def test_any_file_of_any_repository(hub: SimpleNamespace) -> None:
         ("me/mine:b.onnx", (404, "RevisionNotFound"), FileNotFoundError, "no such revision v1"),
         ("me/mine:b.onnx", (403, "GatedRepo"), PermissionError, "asks for an account: agree to"),
         ("me/mine:b.onnx", (500, ""), ConnectionError, "could not be fetched, "),
+        ("me/-x:b.onnx", None, ValueError, "me/-x:b.onnx: "),
         ("me/mine/b.onnx", None, FileNotFoundError, "depth-anything-v2-small, or owner/name:file"),
         ("depth-anything-v3", None, FileNotFoundError, "depth-anything-v2-small, or owner/name"),
     ],
@@ -169,10 +170,10 @@ def test_no_extra(monkeypatch: pytest.MonkeyPatch) -> None:
         Network("depth-anything-v2-small")
 
 
-def test_a_file_has_no_revision(tmp_path: Path) -> None:
-    mean_of_channels(tmp_path / "net.onnx")
-    with pytest.raises(ValueError, match="revision is of the hub"):
-        Network(str(tmp_path / "net.onnx"), revision="v1")
+def test_files_and_functions_have_no_revision(tmp_path: Path) -> None:
+    for model in (mean_of_channels(tmp_path / "net.onnx"), lambda picture: picture[:1]):
+        with pytest.raises(ValueError, match="revision is of the hub"):
+            Network(model, revision="v1")
 
 
 def test_the_command_line(hub: SimpleNamespace, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from uwaug import Development, Lamp, Light, Medium, RandomLight, RandomUnderwate
 from uwaug._support.codec import from_plain, to_plain
 from uwaug.formation.each import form_each
 from uwaug.light.direction import veil_factor
+from uwaug.transforms.like import _with_kept
 
 MEDIUM = Medium.from_water("3C", vertical_depth=6.0, g=0.05, mu=0.05)
 SPECTRAL = Medium.from_water("3C", vertical_depth=6.0, surfaces="spectral")
@@ -32,6 +33,7 @@ def test_a_row_sees_what_its_elevation_does() -> None:
     for row in (0, 100, 479):
         elevation = math.radians(20) - math.atan((row - (height - 1) / 2) / focal)
         assert float(factors[row]) == pytest.approx((1 - 0.8 * math.sin(elevation)) ** -2, rel=1e-5)
+    assert float(veil_factor(90.0, torch.zeros(1, 1, 1, 1), view)) == pytest.approx(0.44**-2)
 
 
 @pytest.mark.parametrize("light", [Light(pitch=0.0), Light([LAMP], daylight=0.5, pitch=0.0)])
@@ -132,6 +134,27 @@ def test_pitches_are_written_and_read() -> None:
     read = from_plain(json.loads(json.dumps(to_plain(light))), Light)
     assert isinstance(read.pitch, Tensor)
     assert torch.equal(read.pitch, torch.tensor([5.0, -3.0]))
+
+
+def test_pictures_and_pitches_are_as_many() -> None:
+    image, z = scene(2)
+    module = Underwater(MEDIUM, light=Light(pitch=torch.tensor([1.0, 2.0, 3.0])))
+    with pytest.raises(ValueError, match="pitch"):
+        module(image, z)
+    two = Light(pitch=torch.tensor([40.0, -40.0]))
+    for water in (MEDIUM, MEDIUM.to(torch.float32)):
+        above, below = Underwater(water, light=two, distance_range=None)(image[:1], z[:1])
+        assert above[:, 0].mean() > below[:, 0].mean()
+    with pytest.raises(ValueError, match="must be one number for all pictures"):
+        RandomUnderwater(light=two)
+
+
+def test_what_is_like_a_picture_by_day_has_no_lamps() -> None:
+    augment = RandomUnderwater(light=RandomLight(share=1.0))
+    image, _ = scene(1)
+    (sample,) = augment.make_params(image)["samples"]
+    assert "rig" in sample["light"]
+    assert _with_kept(sample, {"light": {"pitch": 3.0}})["light"] == {"pitch": 3.0}
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,8 @@ def fetched(file: HubFile) -> Path:
     address = f"{file.repository}:{file.file}"
     try:
         return Path(hub.hf_hub_download(file.repository, file.file, revision=file.revision))
+    except errors.HFValidationError as error:
+        raise ValueError(f"{address}: {str(error).splitlines()[0]}") from error
     except errors.GatedRepoError as error:
         cure = "agree to its terms on the hub, then `hf auth login`"
         raise PermissionError(f"{address} asks for an account: {cure}") from error

@@ -47,8 +47,8 @@ class MadeUp(Source):
     A small network that comes with the package guesses what is nearer than what, and where there is
     open water, such as sky. An exponent, a smooth field, and the presence of open water (in three
     of four) are drawn. Distances step where the picture has edges, and reach from near to far.
-    Mirrored pictures get mirrored maps. One of thirty pictures, or all with `cue="ramp"`, gets a
-    ramp: what is lower in the picture is nearer.
+    Mirrored pictures get mirrored maps, from 1024² on nearly so. One of thirty pictures, or all
+    with `cue="ramp"`, gets a ramp: what is lower in the picture is nearer.
 
     Order and sizes are guessed. That teaches a network that water hides far things more than near
     ones. It is no truth to restore pictures or to measure by; a large network is nearer to it, see

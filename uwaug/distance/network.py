@@ -81,6 +81,8 @@ class Network(Source):
     def __post_init__(self) -> None:
         checks.instance("holds", self.holds, Source)
         if callable(self.model):
+            if self.revision is not None:
+                raise ValueError("revision is of the hub; model is a function: leave it out")
             return
         if self.short_side < 1 or self.multiple < 1:
             got = f"got {self.short_side} and {self.multiple}"

@@ -71,7 +71,8 @@ def form(
     srgb, size = color_space == "srgb", (z.shape[-2], z.shape[-1])
     low, high = (0.0, 1.0) if image.dtype == torch.uint8 else extent(image)
     J = _decoded(image, srgb, low < 0 or high > 1)
-    batch = max(len(J), len(z), len(medium))
+    rise = rise_table(light, size)
+    batch = max(len(J), len(z), len(medium), len(rise))
     scenes, z_maps = J.contiguous().numpy(), z.detach().contiguous().numpy()
     metre_maps = z_maps if metres is None else metres.detach().contiguous().numpy()
     weights = brightest = Weights.of(medium)
@@ -80,7 +81,6 @@ def form(
         weights = weights.seen_by(np.full((1, 3), light.daylight))
     media = [medium] if len(medium) == 1 else [medium[n] for n in range(len(medium))]
     ends = blurred_between(z, brightest)
-    rise = rise_table(light, size)
     rows = range(max(len(medium), len(rise)))
     tables = [
         (

@@ -381,7 +381,11 @@ def rise_table(light: Light | None, size: Size) -> Floats:
     """
     if light is None or light.pitch is None:
         return np.ones((1, 0), np.float32)
-    pitch = light.pitch.detach().numpy() if isinstance(light.pitch, torch.Tensor) else light.pitch
+    pitch = (
+        light.pitch.detach().double().numpy()
+        if isinstance(light.pitch, torch.Tensor)
+        else light.pitch
+    )
     angles = np.radians(np.array(pitch, np.float64).reshape(-1, 1))
     tangent = 2 * math.tan(math.radians(light.view / 2)) / size[1]
     down = tangent * (np.arange(size[0]) - (size[0] - 1) / 2)

@@ -56,6 +56,11 @@ def distances_of(
             return Distances(plane, None)
         if distance in WORDS:
             options = source if isinstance(source, Mapping) else {}
+            kind = WORDS[distance]["kind"]
+            is_other = source is not None and options.get("kind", kind) != kind
+            if is_other or (unit, holes) != ("m", "error") or (source is not None and not options):
+                cure = "unit, holes and other sources are of maps; leave them out"
+                raise ValueError(f"distance is {distance}, guessed from pictures: {cure}")
             return Distances({**options, **WORDS[distance]}, None)
     if distance is not None or has_options:
         if source is None or isinstance(source, Mapping):

@@ -50,7 +50,7 @@ def contrast_left(
         reflectance: mean light of the object, 1 = white plate at the surface; a darker object loses
             more behind the veil. A number, or a tensor that broadcasts with (B, 3, H, W), such as
             the scene's own linear light. The default is the grey of photography.
-        light: lamps; None for daylight as the medium has it.
+        light: lamps, and the direction of daylight; None for daylight as the medium has it.
         metres (as distance): distance without the field, for lamps in uneven water.
 
     Returns:

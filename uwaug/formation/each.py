@@ -101,7 +101,8 @@ def _at_once(
     light = lights[0]
     if light is not None:
         light = replace(light, pitch=torch.tensor([day.pitch for day in lights if day]))
-    grey = _of_grey(medium, developments, spans)
+    day = medium if light is None else medium.brightened(torch.full((1, 1), light.daylight))
+    grey = _of_grey(day, developments, spans)
     plans = _plans([grey[i] for i in range(len(spans))], spans, z)
     return form(images, z, medium, development, color_space=color_space, light=light, plans=plans)
 

@@ -63,7 +63,7 @@ def form(
         z (Bx1xHxW tensor): effective distances, m, finite, ≥ 0; float32 or float64.
         medium: one row, or one for each picture.
         development: steps of the camera.
-        light: lamps; None for daylight as the medium has it.
+        light: lamps, and the direction of daylight; None for daylight as the medium has it.
         metres (Bx1xHxW): distances, m, for lamps, where a field multiplies them in z.
         plan: plan of the blur; None plans for the distances at hand.
         plans: one plan for each picture, in place of `plan`.
@@ -178,7 +178,7 @@ def form_image(
             `Underwater(…)(image, z, field)` also has gradients at +inf, and lamps at their true
             distance.
         medium: one row, or as many as images. One image and B media give B images.
-        light: lamps; None for daylight as the medium has it.
+        light: lamps, and the direction of daylight; None for daylight as the medium has it.
         tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
             single pixels may be off by 3 to 5 times as much.
 

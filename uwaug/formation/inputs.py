@@ -28,6 +28,8 @@ def validate(
         checks.instance("light", light, Light)
     maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
     sizes = {"medium": len(medium)}
+    if light is not None and isinstance(light.pitch, Tensor):
+        sizes["pitch"] = light.pitch.numel()
     for name, value in {"image": image, **maps}.items():
         if not (name == "image" and isinstance(image, Tensor) and image.dtype == torch.uint8):
             checks.floating(name, value)

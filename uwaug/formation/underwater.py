@@ -62,7 +62,7 @@ class Underwater(nn.Module):
             70 % more time. A width law that knows no size, such as `PointSpread(2.0)`, has one plan
             in any case.
         development: steps of the camera, see `uwaug.Development`; none by default.
-        light: lamps, see `uwaug.Light`; None for daylight as the medium has it.
+        light: lamps and direction of daylight, see `uwaug.Light`; None for that of the medium.
 
     A state (`state_dict`) holds the medium: loaded, the blur is planned for it, and a state of
     another width law is refused. All other arguments are the module's own.

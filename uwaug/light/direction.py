@@ -28,6 +28,9 @@ from uwaug.light.rays import Rays
 
 T = TypeVar("T", bound=Any)
 
+MAX_RISE = 0.7
+"""Sine of the elevation (45°) above which the veil grows no more: there the surface is in view."""
+
 RISE = 0.8
 """Share K_d/G of the attenuation of daylight in that of the veil."""
 
@@ -49,5 +52,6 @@ def factor_of(sine: T, cosine: T, down: T) -> T:
     row that tangent of its angle down from the axis; arrays or tensors that broadcast.
     """
     rise: Any = (sine - down * cosine) / (1 + down * down) ** 0.5
+    rise = rise.clip(max=MAX_RISE)
     factor: T = (1 - RISE * rise) ** -2
     return factor

@@ -15,7 +15,7 @@ surface. The cosine of the angle of incidence is left out, as a photograph has i
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -168,13 +168,14 @@ class Light:
         checks.within("daylight", self.daylight, 0.0)
         checks.within("view", self.view, 1.0, 170.0)
         if isinstance(self.pitch, (tuple, list)):  # a tensor, as it is written
-            object.__setattr__(self, "pitch", torch.tensor(self.pitch))
+            object.__setattr__(self, "pitch", torch.tensor(self.pitch, dtype=torch.float32))
         if isinstance(self.pitch, Tensor):
             checks.floating("pitch", self.pitch)
             for angle in self.pitch.detach().flatten().tolist():
                 checks.within("pitch", angle, -90.0, 90.0)
         elif self.pitch is not None:
             checks.within("pitch", self.pitch, -90.0, 90.0)
+            object.__setattr__(self, "pitch", float(cast(float, self.pitch)))
 
     def curves(self, medium: Medium, z: Tensor, metres: Tensor | None = None) -> Curves:
         """Light of a white scene that reaches the camera at each pixel: unscattered, scattered

@@ -263,11 +263,11 @@ export function lightAt(place, { table }, K, { luminance, reflectance }) {
 }
 
 /** Factors of the veil in the rows of a picture: uwaug/light/direction.py; pitch in degrees. */
-export function riseOf({ width, height }, pitch, { direction: { view, rise } }) {
+export function riseOf({ width, height }, pitch, { direction: { view, rise, most } }) {
   const focal = width / 2 / Math.tan(view * Math.PI / 360), [sine, cosine] = [Math.sin, Math.cos].map(f => f(pitch * Math.PI / 180));
   return Float32Array.from({ length: height }, (_, y) => {
     const down = (y - (height - 1) / 2) / focal;
-    return (1 - rise * (sine - down * cosine) / Math.hypot(1, down)) ** -2;
+    return (1 - rise * Math.min((sine - down * cosine) / Math.hypot(1, down), most)) ** -2;
   });
 }
 

@@ -85,7 +85,7 @@ def tables() -> dict[str, Any]:
         "reflectance": _REFLECTANCE,
         "dimmest": random_water.DIMMEST,
         "much": random_water.MOST_CONTENTS,
-        "direction": {"view": Light.view, "rise": direction.RISE},
+        "direction": {"view": Light.view, "rise": direction.RISE, "most": direction.MAX_RISE},
         "sizes": dict(zip(("nearest", "farthest"), random_water.MEDIANS, strict=True)),
         "meter": {
             "count": development.METERED,

@@ -261,7 +261,9 @@ def _with_kept(sample: Record, kept: Mapping[str, Any]) -> Record:
     for name, value in kept.items():
         if isinstance(value, tuple):  # as lists are read
             value = list(value)
-        inner = isinstance(value, Mapping) and value and isinstance(sample.get(name), Mapping)
+        # a light has no seed; that of daylight has no lamps
+        inner = name != "light" and value and isinstance(value, Mapping)
+        inner = inner and isinstance(sample.get(name), Mapping)
         changed[name] = _with_kept(sample[name], value) if inner else value
     return changed
 

@@ -127,6 +127,10 @@ class RandomUnderwater(SampleTransform):
         self.light = None if light is _DEFAULT_LIGHT and self.water.has_media else light
         if not isinstance(self.light, Light | None):
             checks.instance("light", self.light, RandomLight, "; or a uwaug.Light")
+        pitch = self.light.pitch if isinstance(self.light, Light) else None
+        if isinstance(pitch, Tensor) and pitch.numel() > 1:
+            cure = "each picture draws its own by RandomLight(pitch=(low, high))"
+            raise ValueError(f"light.pitch must be one number for all pictures: {cure}")
         self.development = RandomDevelopment() if development is None else development
         checks.instance("development", self.development, RandomDevelopment)
         checks.within("p", p, 0.0, 1.0)
@@ -240,7 +244,7 @@ class RandomUnderwater(SampleTransform):
             A plain record that can be pickled and written as JSON, {"samples": […]} with a dict for
             each picture: "applied", whether it is degraded at all; and the draw of each noun, by
             the names of its options: "water", with the names of one or two "waters", or amounts of
-            contents; "distance"; "light", empty by daylight; "development".
+            contents; "distance"; "light", the pitch alone by daylight; "development".
         """
         count = 1 if image.ndim == 3 or is_film(image) else len(image)
         seeds = torch.randint(2**63 - 1, (count,), generator=generator, device="cpu").tolist()
