@@ -18,8 +18,8 @@ Array = np.ndarray[Any, Any]
 Texture = Callable[[Array], Array]
 Rng = np.random.Generator
 
-SHAPES = ((96, 128), (112, 112), (128, 96))
-"""Heights and widths: landscape, square, portrait."""
+SHAPES = ((128, 160), (160, 128))
+"""Heights and widths: landscape, portrait."""
 
 KINDS = {
     "room": 0.25,

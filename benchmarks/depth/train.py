@@ -37,7 +37,6 @@ CHUNK = 64  # scenes of a file
 FIRST_CHUNKS = 12  # with which training begins
 STEPS_OF_CHUNK = 60  # after which another one joins
 OPEN_WEIGHT = 0.3  # of open pixels in the loss of distances
-SHAPES = ((128, 160), (160, 128))
 MARGIN = 8  # px that a rendered scene is larger, to be cropped
 CHECKPOINT = 1000
 
@@ -52,7 +51,6 @@ class Settings:
     ranks: float = 0.2
     widths: tuple[int, ...] = (16, 32, 48, 64, 96)
     is_frozen: bool = True
-    is_fine: bool = False
 
 
 def encoder_of(path: Path) -> cue.Weights:
@@ -145,7 +143,7 @@ class Network(nn.Module):
 
     def __init__(self, encoder: cue.Weights, settings: Settings) -> None:
         super().__init__()
-        self.encoder, self.frozen, self.is_fine = None, encoder, settings.is_fine
+        self.encoder, self.frozen = None, encoder
         if not settings.is_frozen:
             self.encoder = Layers({name: kernel.shape for name, (kernel, _) in encoder.items()})
         widths = settings.widths
@@ -154,8 +152,7 @@ class Network(nn.Module):
             "whole.out": (widths[-1], 64, 1, 1),
             "answer": (2, widths[0], 3, 3),
         }
-        befores = (3, *ENCODER_WIDTHS) if settings.is_fine else ENCODER_WIDTHS
-        for level, (before, width) in enumerate(zip(befores, widths, strict=True)):
+        for level, (before, width) in enumerate(zip(ENCODER_WIDTHS, widths, strict=True)):
             shapes[f"side{level}"] = (width, before + 2, 1, 1)
             shapes[f"at{level}"] = (width, width, 3, 3)
             if level + 1 < len(widths):
@@ -169,8 +166,6 @@ class Network(nn.Module):
                 features = cue.encoded(pictures, cue.layers_of(self.frozen))
         else:
             features = cue.encoded(pictures, self.encoder)
-        if self.is_fine:
-            features = [4 * (pictures - 0.45), *features]
         return cue.decoded(features, self.decoder)
 
     def folded(self) -> cue.Weights:
@@ -200,7 +195,7 @@ def render(folder: Path, count: int) -> None:
         if multiprocessing.parent_process() and not multiprocessing.parent_process().is_alive():
             return  # killed, so nobody stops this one
         rng = np.random.default_rng((number, 1))
-        shape = [side + MARGIN for side in SHAPES[number % len(SHAPES)]]
+        shape = [side + MARGIN for side in scenes.SHAPES[number % len(scenes.SHAPES)]]
         made = [scenes.scene(rng, (shape[0], shape[1])) for _ in range(CHUNK)]
         rgb, log, is_open = (np.stack(maps) for maps in zip(*made, strict=True))
         partial = path.with_suffix(".part.npz")
@@ -235,9 +230,7 @@ class Pool:
         self._process.terminate()
 
 
-def _cropped(
-    rng: np.random.Generator, shape: tuple[int, int], every: int, *maps: Array
-) -> list[Array]:
+def _cropped(rng: np.random.Generator, shape: tuple[int, int], *maps: Array) -> list[Array]:
     """A part of a picture and its maps, perhaps mirrored, at another size: nearest pixels of maps,
     the mean of two by two of them for the picture.
     """
@@ -255,7 +248,7 @@ def _cropped(
 
     picture = part(maps[0], 2 * shape[0], 2 * shape[1]).astype(np.float32) / 255
     picture = picture.reshape(shape[0], 2, shape[1], 2, 3).mean((1, 3))
-    parts = [picture, *(part(values, shape[0] // every, shape[1] // every) for values in maps[1:])]
+    parts = [picture, *(part(values, shape[0] // 2, shape[1] // 2) for values in maps[1:])]
     return [values[:, ::-1] for values in parts] if rng.uniform() < 0.5 else parts
 
 
@@ -269,16 +262,16 @@ def _jittered(rng: np.random.Generator, picture: Array) -> Array:
     return picture.clip(0, 1)
 
 
-def batch(step: int, pool: Pool, every: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def batch(step: int, pool: Pool) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Pictures (Bx3xHxW); at half the size logarithms, their weights and what is open (BxHxW)."""
     rng = np.random.default_rng((step, 2))
-    which = int(rng.integers(len(SHAPES)))
-    chunks = pool.at(step)[which :: len(SHAPES)]
+    which = int(rng.integers(len(scenes.SHAPES)))
+    chunks = pool.at(step)[which :: len(scenes.SHAPES)]
     rows = []
     for _ in range(BATCH):
         number = rng.integers(CHUNK)
         maps = (values[number] for values in chunks[rng.integers(len(chunks))])
-        picture, log, is_open = _cropped(rng, SHAPES[which], every, *maps)
+        picture, log, is_open = _cropped(rng, scenes.SHAPES[which], *maps)
         picture = _jittered(rng, picture).transpose(2, 0, 1)
         rows.append([picture, log, np.where(is_open, OPEN_WEIGHT, 1), is_open])
     stacked = (np.stack(column).astype(np.float32) for column in zip(*rows, strict=True))
@@ -344,7 +337,7 @@ def train(
         for group in optimiser.param_groups:
             group["lr"] = LEARNING_RATE * min(1, (step + 1) / 100) * fading
         torch.manual_seed(step)
-        pictures, *truth = batch(step, pool, 1 if settings.is_fine else 2)
+        pictures, *truth = batch(step, pool)
         network.train()
         value = loss(network(pictures), *truth, settings)
         optimiser.zero_grad()
@@ -367,7 +360,6 @@ def train(
 
 VARIANTS = {
     "as it is": Settings(),
-    "fine": Settings(is_fine=True, widths=(8, 16, 32, 48, 64, 96)),
     "from scratch": Settings(is_frozen=False),
     "without order of pairs": Settings(ranks=0.0),
     "without steps": Settings(gradients=0.0),
@@ -396,7 +388,7 @@ def main(
                 continue
             to = out.with_stem(f"{out.stem} {name}") if compare else out
             train(pool, backbone, steps, settings, to, resume)
-            if judging and not settings.is_fine:
+            if judging:
                 way = measures.by_weights(cue.learnt(to))
                 print(name, measures.judged(way, judging), flush=True)
     finally:
@@ -405,7 +397,7 @@ def main(
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="seconds, to see that it runs")
+    parser.add_argument("--quick", action="store_true", help="a minute, to see that it runs")
     parser.add_argument("--out", type=Path, required=True, help="the weights to write")
     parser.add_argument("--scenes", type=Path, required=True, help="folder of rendered scenes")
     parser.add_argument("--encoder", type=Path, help="weights of YOLOX-nano, .npz")

@@ -27,6 +27,17 @@ def test_metres_have_nothing_that_is_of_maps(said: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
+    "said", [{"unit": "cm"}, {"holes": "far"}, {"source": {"kind": "Inverse"}}]
+)
+def test_guesses_have_nothing_that_is_of_maps(
+    said: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path / "photos")
+    with pytest.raises(ValueError, match="distance is made-up, guessed from pictures: unit"):
+        distances_of("made-up", **said)
+
+
+@pytest.mark.parametrize(
     "distance, said, source, maps",
     [
         # nothing is said

@@ -13,7 +13,6 @@ from uwaug import Development, Lamp, Light, Medium, RandomLight, RandomUnderwate
 from uwaug._support.codec import from_plain, to_plain
 from uwaug.formation.each import form_each
 from uwaug.light.direction import veil_factor
-from uwaug.transforms.like import _with_kept
 
 MEDIUM = Medium.from_water("3C", vertical_depth=6.0, g=0.05, mu=0.05)
 SPECTRAL = Medium.from_water("3C", vertical_depth=6.0, surfaces="spectral")
@@ -147,14 +146,6 @@ def test_pictures_and_pitches_are_as_many() -> None:
         assert above[:, 0].mean() > below[:, 0].mean()
     with pytest.raises(ValueError, match="must be one number for all pictures"):
         RandomUnderwater(light=two)
-
-
-def test_what_is_like_a_picture_by_day_has_no_lamps() -> None:
-    augment = RandomUnderwater(light=RandomLight(share=1.0))
-    image, _ = scene(1)
-    (sample,) = augment.make_params(image)["samples"]
-    assert "rig" in sample["light"]
-    assert _with_kept(sample, {"light": {"pitch": 3.0}})["light"] == {"pitch": 3.0}
 
 
 @pytest.mark.parametrize(

@@ -11,12 +11,13 @@ from augmenting import flat, same
 from torch import Tensor
 
 import uwaug
-from uwaug import KeepVisible, MarineSnow, RandomUnderwater, RandomWater, Sensor
+from uwaug import KeepVisible, MarineSnow, RandomLight, RandomUnderwater, RandomWater, Sensor
 from uwaug.distance import MadeUp
 from uwaug.distance.doubts import first_maps
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import RandomDevelopment, UnderwaterLike
 from uwaug.transforms.appearance import WATER_FEATURES, water_features
+from uwaug.transforms.like import _with_kept
 
 H, W = 32, 48
 FEW: dict[str, Any] = {"draws": 90, "keep": 3}
@@ -201,3 +202,10 @@ def test_numbers_say_what_they_are_called() -> None:
     assert found["veil_a"] < found["a_mean"] < 0
     assert found["veil_L"] > found["L_mean"]
     assert found["chroma"] > 5
+
+
+def test_kept_daylight_has_no_lamps() -> None:
+    augment = RandomUnderwater(light=RandomLight(share=1.0))
+    (sample,) = augment.make_params(pictures(1))["samples"]
+    assert "rig" in sample["light"]
+    assert _with_kept(sample, {"light": {"pitch": 3.0}})["light"] == {"pitch": 3.0}

@@ -55,6 +55,7 @@ def fetched(file: HubFile) -> Path:
 
     Raises:
         ImportError: huggingface_hub is not installed.
+        ValueError: the hub knows no repository of such a name.
         FileNotFoundError: there is no such repository, revision or file.
         PermissionError: the repository asks for an account.
         ConnectionError: it is not in the cache, and could not be fetched.
@@ -68,18 +69,16 @@ def fetched(file: HubFile) -> Path:
     except errors.GatedRepoError as error:
         cure = "agree to its terms on the hub, then `hf auth login`"
         raise PermissionError(f"{address} asks for an account: {cure}") from error
-    except errors.LocalEntryNotFoundError as error:  # also a kind of the next one
+    except errors.LocalEntryNotFoundError as error:  # also an EntryNotFoundError
         raise _not_fetched(address, "the hub cannot be reached") from error
-    except (
-        errors.RepositoryNotFoundError,
-        errors.RevisionNotFoundError,
-        errors.EntryNotFoundError,
-    ) as error:
-        kind = type(error).__name__.removeprefix("Remote").removesuffix("NotFoundError").lower()
-        missing = {"entry": "file", "revision": f"revision {file.revision}"}.get(kind, kind)
-        cure = "a private repository is read after `hf auth login`"
-        hint = f"; {cure}" if kind == "repository" else ""
-        raise FileNotFoundError(f"{address}: the hub has no such {missing}{hint}") from error
+    except errors.RepositoryNotFoundError as error:
+        missing = "repository; a private repository is read after `hf auth login`"
+        raise FileNotFoundError(f"{address}: the hub has no such {missing}") from error
+    except errors.RevisionNotFoundError as error:
+        missing = f"revision {file.revision}"
+        raise FileNotFoundError(f"{address}: the hub has no such {missing}") from error
+    except errors.EntryNotFoundError as error:
+        raise FileNotFoundError(f"{address}: the hub has no such file") from error
     # a download that breaks off raises errors of several libraries, without a common base
     except Exception as error:
         reason = str(error).partition("\n")[0] or type(error).__name__

@@ -366,7 +366,7 @@ def lamps_table(light: Light | None, lamplit: Weights, size: Size, n: int) -> La
         straight_rates=_floats(-math.log2(math.e) * row.beta[0]),
         straight=_floats(straight),
         signal=_floats(signal),
-        tangent=np.float32(2 * math.tan(math.radians(light.view / 2)) / size[1]),
+        tangent=np.float32(_tangent(light, size)),
         middle=_floats([(side - 1) / 2 for side in size[::-1]]),
     )
 
@@ -387,9 +387,13 @@ def rise_table(light: Light | None, size: Size) -> Floats:
         else light.pitch
     )
     angles = np.radians(np.array(pitch, np.float64).reshape(-1, 1))
-    tangent = 2 * math.tan(math.radians(light.view / 2)) / size[1]
-    down = tangent * (np.arange(size[0]) - (size[0] - 1) / 2)
+    down = _tangent(light, size) * (np.arange(size[0]) - (size[0] - 1) / 2)
     return _floats(factor_of(np.sin(angles), np.cos(angles), down))
+
+
+def _tangent(light: Light, size: Size) -> float:
+    """Tangent of the angle of a pixel at the middle of the view."""
+    return 2 * math.tan(math.radians(light.view / 2)) / size[1]
 
 
 _NONE = [np.zeros((0,) * axes, np.float32) for axes in range(4)]

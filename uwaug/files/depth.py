@@ -62,8 +62,9 @@ class _Maps(Work):
     def __init__(self, network: Network, out: Path, *, resume: bool, force: bool) -> None:
         super().__init__(out, resume=resume, force=force)
         self.network = network
-        self._plain = codec.to_plain(network)
-        self._plain["model"] = digest(network.file or Path())
+        self._plain = codec.to_plain(network)  # refuses a function
+        assert network.file is not None
+        self._plain["model"] = digest(network.file)
 
     def made_of(self, job: Job) -> dict[str, Any]:
         return {**super().made_of(job), "network": self._plain}

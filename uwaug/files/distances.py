@@ -37,7 +37,7 @@ def distances_of(
     holes: str | float = "error",
     sequence: bool = False,
 ) -> Distances:
-    """Choose the distances of a run by its options; refuses metres with options of maps.
+    """Choose the distances of a run by its options; refuses options of maps where there are none.
 
     Args:
         distance: a file, a folder or a pattern, see `find_items`; else metres, as 3 or 1:5, or a
@@ -54,14 +54,13 @@ def distances_of(
                 cure = "unit, holes and distance.… are of maps; leave them out"
                 raise ValueError(f"distance is {distance} m for all of a picture: {cure}")
             return Distances(plane, None)
-        if distance in WORDS:
-            options = source if isinstance(source, Mapping) else {}
-            kind = WORDS[distance]["kind"]
-            is_other = source is not None and options.get("kind", kind) != kind
-            if is_other or (unit, holes) != ("m", "error") or (source is not None and not options):
+        if (word := WORDS.get(distance)) is not None:
+            options = word if source is None else source
+            kind = options.get("kind", word["kind"]) if isinstance(options, Mapping) else None
+            if kind != word["kind"] or (unit, holes) != ("m", "error"):
                 cure = "unit, holes and other sources are of maps; leave them out"
                 raise ValueError(f"distance is {distance}, guessed from pictures: {cure}")
-            return Distances({**options, **WORDS[distance]}, None)
+            return Distances({**options, **word}, None)
     if distance is not None or has_options:
         if source is None or isinstance(source, Mapping):
             options = {} if holes == "error" else {"holes": holes}

@@ -243,8 +243,8 @@ class Means(NamedTuple):
         arriving (Bx3 tensor): mean light that arrives.
         positive (Bx3 tensor): the same without negative channels, of colours outside sRGB.
         highlight (Bx1 tensor): light that stays at or below white: the veil of the farthest pixel;
-            under lamps, which light near things far more, the luminance that `BURNT` of the pixels
-            exceed.
+            with a `Light`, by which parts of a picture are far brighter, the luminance that `BURNT`
+            of the pixels exceed.
     """
 
     scene: Tensor

@@ -217,7 +217,7 @@ export function sceneOf(pixels, distance, width, height, { plan, meter }, tell =
   let known = finite(points.slice(0, meter.looks).map(p => distance[p]));
   if (!known.length) known = finite(distance);
   const median = known.length ? known[known.length >> 1] : Infinity;
-  return { width, height, pixels, light, stack, K, points, place, near, step, median, open: place.includes(ENTRIES) };
+  return { width, height, pixels, light, stack, K, points, place, near, step, median };
 }
 
 // --- a water, as a table over the distances of a picture ------------------------------------------
