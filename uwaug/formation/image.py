@@ -30,6 +30,7 @@ from uwaug.formation.development import NEUTRAL, Development, exposed
 from uwaug.formation.inputs import effective_distance, validate
 from uwaug.light import Light
 from uwaug.light.snow import snowing
+from uwaug.optics.curves import Curves
 from uwaug.optics.medium import Medium
 
 _BAND_PIXELS = 1 << 18
@@ -146,6 +147,29 @@ def blurred_as_seen(
     return _in_bands(medium, mixture, z, *stack)
 
 
+def terms_of(
+    J: Tensor,
+    z: Tensor,
+    medium: Medium,
+    development: Development = NEUTRAL,
+    *,
+    light: Light | None = None,
+    metres: Tensor | None = None,
+    tolerance: float = 0.002,
+) -> tuple[Curves, dict[str, Tensor], Tensor]:
+    """Curves at every pixel, the terms (Bx3xHxW) by name, and the camera's gain. Nothing is
+    checked; arguments as for `form`, but for linear light J and a medium of the type of z.
+    """
+    T = medium.curves(z) if light is None else light.curves(medium, z, metres)
+    gain = development.gain(J, z, medium, None if light is None else T)
+    brightest = medium if light is None else light.planned(medium)
+    size = z.shape[-2], z.shape[-1]
+    plan = plan_for(z, brightest.brightened(gain.detach()), size, tolerance)
+    soft = blurred_as_seen(J, z, medium, plan)
+    T = snowing(T, medium, light, z, metres) or T
+    return T, medium.parts(z, J, soft, T), gain
+
+
 @dataclass(frozen=True, eq=False)
 class Terms:
     """The terms of an image and their sum, each (BxCxHxW) in linear light."""
@@ -202,10 +226,7 @@ def form_image(
         if J.numel() == 0 or z.numel() == 0:
             return Terms(**{field.name: _nothing(J, z) for field in fields(Terms)})
         J = J.to(dtype)
-        brightest = water if light is None else light.planned(water)
-        plan = plan_for(z, brightest, (z.shape[-2], z.shape[-1]), tolerance)
-        soft = blurred_as_seen(J, z, water, plan)
-        T = snowing(None if light is None else light.curves(water, z), water, light, z)
-        terms = water.parts(z, J, soft, T) | {"image": water.image(z, J, soft, T)}
+        terms = terms_of(J, z, water, light=light, tolerance=tolerance)[1]
+        terms["image"] = sum(list(terms.values())[1:], terms["direct"])
     rows = 0 if image.ndim == 3 and len(terms["image"]) == 1 else slice(None)
     return Terms(**{name: term.to(image.dtype)[rows] for name, term in terms.items()})
