@@ -317,7 +317,7 @@ def test_plot_and_compare_draw_a_picture_of_ones_own(folder, run):
     code, out, err = run("plot", *scene, "--water", "3C")
     assert (code, err) == (0, "")
     assert "unknown" in out  # what was done to holes
-    systems = ("--system", "akkaynak-2018", "--system", "li-2020")
+    systems = ("--system", "akkaynak-2018", "--system", "UWCNN", "--stretch", ".2")
     assert run("compare", *scene, *systems, "--out", "systems.jpg")[0] == 0
     assert (folder / "systems.jpg").stat().st_size > 0
 
