@@ -26,9 +26,6 @@ _MIN_ANGLE = 1e-3
 views of more than that square in as many px of theirs, so that particles do not become more.
 """
 
-_VIEW = math.tan(math.radians(30))
-"""Tangent from the middle of such a view to its edges."""
-
 _NEAREST_M = 0.05
 """Smallest distance along the axis. Nearer is the port of the camera's housing."""
 
@@ -36,9 +33,6 @@ _MARGIN = 0.06
 """Tangent beyond the edges of a view, to where there are particles: those that are near and out of
 focus may be partly in the picture.
 """
-
-_MIDDLE = np.array([[0.5], [0.5], [0.0]])
-"""Place of the camera in a box of water, in shares of its sides."""
 
 
 class Particles(NamedTuple):
@@ -115,7 +109,7 @@ class MarineSnow(Seeded):
         Args:
             right, down: tangents of the angles from the middle of the view to its edges.
         """
-        angle = _MIN_ANGLE * max(1.0, math.sqrt(right * down) / _VIEW)
+        angle = _MIN_ANGLE * max(1.0, math.sqrt(3 * right * down))  # 1/√3 is tan 30°
         # A particle is drawn up to a distance s = d/angle. It lives in a box of water of its own, s
         # long and 2s·right × 2s·down wide, beyond which it comes again: as new, out of sight.
         # There are density·(COUNTED/angle)²·2·s^−3·ds in a cubic metre, so as many for each ds.
@@ -127,7 +121,8 @@ class MarineSnow(Seeded):
         shares = np.random.default_rng(seed).random((round(per_metre * (longest - shortest)), 7)).T
         s = shortest + shares[3] * (longest - shortest)
         box = np.stack([*2 * edges * s, s])
-        x, y, z = ((shares[:3] + np.array(self.drift)[:, None] / box) % 1 - _MIDDLE) * box
+        places = (shares[:3] + np.array(self.drift)[:, None] / box) % 1
+        x, y, z = (places - [[0.5], [0.5], [0.0]]) * box
         visible = (z > _NEAREST_M) & (np.abs([x, y]) < edges * z).all(0)
         columns = *shares[4:], angle * s, x, y, z
         stretch, turn, brightness, diameter, x, y, z = np.stack(columns)[:, visible]
