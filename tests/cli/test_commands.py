@@ -1,5 +1,6 @@
 import csv
 import json
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -123,12 +124,26 @@ def test_pictures_like_a_photograph(folder, run, monkeypatch):
     line = ("degrade", "photos", *MAPS, "--like", "green.png", "--contrast", ".2:.5", "--out")
     code, out, err = run(*line, "wet")
     assert (code, err) == (0, "")
-    assert "like green.png: the pictures that were kept are" in out
+    assert re.search("like green.png: (near|fair|far from anything that water can do): ", out)
     assert "2 of 2 pictures written to wet" in out
     recipe = json.loads((folder / "wet/a.png.json").read_text())["recipe"]
     transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
     assert isinstance(transform, uwaug.transforms.UnderwaterLike)
     assert all(0.2 <= one["water"]["contrast"] <= 0.5 for one in transform.kept)
+    # a folder, and more of them; the real ones stand on the sheet
+    (folder / "dives/more").mkdir(parents=True)
+    for name in ("dives/a.png", "dives/more/b.png"):
+        Image.fromarray(murky).save(folder / name)
+    code, out, _ = run(*line, "both", "--like", "dives", "--sheet")
+    assert "like 3 photographs: " in out
+    recipe = json.loads((folder / "both/a.png.json").read_text())["recipe"]
+    assert len(recipe["transform"]["kept"]) == 6
+    with Image.open(folder / "both/sheet.jpg") as sheet:
+        assert sheet.size == (3 * 496, 2 * 244)  # two pairs, and two pairs of real ones
+        shown = np.asarray(sheet, float)
+    for y, x in ((0, 992), (0, 992 + 240), (244, 0)):
+        corner = shown[y : y + 24, x : x + 32].mean((0, 1))
+        assert abs(corner - murky.mean((0, 1))).max() < 8
     # the same draws are kept again, and a record makes the same picture
     assert "2 were there" in run(*line, "wet", "--resume")[1]
     assert run("degrade", "wet/b.png.json", "--out", "b.png")[0] == 0
@@ -233,6 +248,8 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("degrade photos --min-contrast 2 --out wet", "Error: --min-contrast must be in [0, 1]"),
         ("degrade photos --min-contrast .1 --out wet", "is of labels, of which none are given"),
         ("degrade photos --set drift=.1 --out wet", "is of films, whose frames --sequence makes"),
+        ("degrade photos --set motion=1px --out wet", "--set motion is of films"),
+        ("degrade photos --sequence --set motion=fast --out wet", "motion must be three numbers"),
         ("page --distance nowhere.npy --unit mm --out page.html", "of a picture: give --image"),
         (
             "fit --clean a.png --observed b.png --distance z.npy --out f.json --model waters "

@@ -8,7 +8,14 @@ from typing import Annotated, Any
 import typer
 
 from uwaug.cli.choices import Force, Holes, Preset, Resume, Unit, Workers, number_or_word
-from uwaug.cli.console import counted, end_if_failed, print_counts, print_written, reported_errors
+from uwaug.cli.console import (
+    counted,
+    end_if_failed,
+    print_counts,
+    print_written,
+    reported_errors,
+    status,
+)
 from uwaug.files.formats import formats
 
 
@@ -43,8 +50,8 @@ def degrade(
     like: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Underwater photograph that pictures shall look like: of many random waters the "
-            "most similar are taken; repeat it for several."
+            help="Underwater photographs that pictures shall look like, a file or a folder: of "
+            "many random waters the most similar to each are taken; repeat it for several.",
         ),
     ] = None,
     preset: Preset = None,
@@ -61,7 +68,8 @@ def degrade(
         typer.Option(
             "--set",
             help="Set any option: water.vertical_depth=0:5, development.saturation=1, light=none; "
-            "for films drift=.004 (m per frame); for JPEG quality=80; repeat it for several.",
+            "for films drift=.004 (m per frame) and motion=[.02,0,0], of the camera to the right, "
+            "down and forward, or 12px; for JPEG quality=80; repeat it for several.",
             metavar="NAME=VALUE",
         ),
     ] = None,
@@ -108,13 +116,15 @@ def degrade(
         from uwaug.files import degrade as run
         from uwaug.files.distances import distances_of
         from uwaug.files.items import left_out
-        from uwaug.files.prepare import prepare
+        from uwaug.files.prepare import prepare, references_of
         from uwaug.transforms import RandomUnderwater
 
         values = _options(preset, plain, options, set_ or (), water or (), contrast)
-        run_values = {name: values.pop(name) for name in ("drift", "quality") if name in values}
-        if "drift" in run_values and not sequence:
-            raise ValueError("--set drift is of films, whose frames --sequence makes of a folder")
+        run_options = [name for name in ("drift", "motion", "quality") if name in values]
+        run_values = {name: values.pop(name) for name in run_options}
+        if run_options and run_options != ["quality"] and not sequence:
+            got = f"--set {run_options[0]} is of films"
+            raise ValueError(f"{got}, whose frames --sequence makes of a folder")
         if plain and not (values["water"].get("waters") and (distance or "distance" in values)):
             raise ValueError("--plain draws nothing: give both, one --water and --distance")
         map_values: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
@@ -135,7 +145,10 @@ def degrade(
         items = find_items(pictures, distances.maps, exclude=[out, labels])
         if formats_left_out := left_out(pictures, distances.maps, exclude=[out, labels]):
             print(f"left out, as such files are not read: {formats_left_out}")
-        recipe, sentences = prepare(recipe, items, like or ())
+        references = references_of(like or ())
+        with status() as say:
+            say(f"looking for waters like {len(references)} photographs" if like else "looking")
+            recipe, sentences = prepare(recipe, items, references)
         for sentence in filter(None, (distances.note, *sentences)):
             print(sentence, flush=True)
         with counted() as progress:
@@ -147,6 +160,7 @@ def degrade(
                 resume=resume,
                 force=force,
                 sheet=sheet,
+                beside=references,
                 ray=ray,
                 progress=progress,
             )

@@ -38,6 +38,7 @@ def degrade(
     resume: bool = False,
     force: bool = False,
     sheet: bool = False,
+    beside: Sequence[Path] = (),
     ray: str | None = None,
     progress: Progress | None = None,
 ) -> Summary:
@@ -55,6 +56,7 @@ def degrade(
         resume: go on after a stop; results of the same recipe and files are kept.
         force: write over existing files.
         sheet: draw some of the results on sheet.jpg.
+        beside: real photographs to draw there, below them.
         ray: address of a Ray cluster in place of processes: "local", "auto", or host:port. All its
             machines must see the same folders.
         progress: function that is called after each picture with the number of finished pictures
@@ -83,7 +85,13 @@ def degrade(
     work = _Underwater(recipe, folder, resume=resume, force=force)
     jobs = [Job(items[0], out.name)] if single else list(_jobs(recipe, items, labels))
     summary = run(
-        work, jobs, workers=workers, ray=ray, index=not single, sheet=sheet, progress=progress
+        *(work, jobs),
+        workers=workers,
+        ray=ray,
+        index=not single,
+        sheet=sheet,
+        beside=beside,
+        progress=progress,
     )
     if labels is not None:
         results = [result for result in summary.results if result.status != "failed"]

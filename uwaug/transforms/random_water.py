@@ -304,7 +304,8 @@ class RandomWater(Noun):
         if self.field is None:
             return like.new_ones(())
         # in px of the view that the width law takes the picture for
-        moved = [FOCAL_LENGTH * m.width * m.moved / m.median for m in measured]
+        scales = [FOCAL_LENGTH * m.width / m.median for m in measured]
+        moved = [(k * m.moved[0], k * m.moved[1]) for k, m in zip(scales, measured, strict=True)]
         seeds = [draw.water["field_seed"] for draw in draws]
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
 
@@ -322,7 +323,8 @@ class RandomWater(Noun):
         if self.snow is None:
             return medium
         snow = self.snow.of(draw["snow"])
-        return medium.with_snow(replace(snow, drift=snow.drift + measured.moved))
+        x, y, z = (own + way for own, way in zip(snow.drift, measured.moved, strict=True))
+        return medium.with_snow(replace(snow, drift=(x, y, z)))
 
     def _mu(self, draw: Drawn) -> float:
         """μ; of a range no more than g, as no veil is brighter than a white plate."""

@@ -187,7 +187,7 @@ def scenes_of(
             with naming(i, len(pictures)):
                 if not (measured.darkest >= 0 and measured.brightest <= 1):
                     require_values(pictures[i], space)
-                of_films.append(measured.of_film(draw.measured, draw.moved))
+                of_films.append(measured.of_film(draw.measured, draw.passed))
                 settings.append(_setting(draw, measured, of_films[-1], nouns))
         metres = metres.double() if pictures.dtype == torch.float64 else metres
         scales = [setting.scale for setting in settings]
