@@ -11,6 +11,7 @@ from uwaug.cli.console import end, print_written, reported_errors, require_writa
 
 def export(
     out: Annotated[Path, typer.Option(help=".onnx file to write.")],
+    name: Annotated[str | None, typer.Argument(help="As --preset.", metavar="PRESET")] = None,
     preset: Preset = None,
     water: Water = None,
     coefficients: Annotated[
@@ -22,6 +23,9 @@ def export(
     force: Force = False,
 ) -> None:
     """Write a preset, or what uwaug fit has written, as an ONNX file, and check it."""
+    if name is not None and preset is not None:
+        end(2, f"{name} and --preset {preset}: give one preset")
+    preset = preset or name
     if preset is None:
         end(2, "expected --preset, a preset's name or file, or what uwaug fit has written")
     require_writable(out, force=force, endings=(".onnx",))
