@@ -65,7 +65,8 @@ def waters(
     preset: Preset = "survey",
 ) -> None:
     """List the water types: in words, visibility, attenuation, doubts. Or their numbers, as JSON,
-    in a preset's camera, depth and light."""
+    in a preset's camera, depth and light.
+    """
     if as_json:
         from uwaug.onnx import input_rows
         from uwaug.presets import load_preset

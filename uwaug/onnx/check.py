@@ -92,8 +92,8 @@ def check_onnx(
         if progress is not None:
             progress(f"checking, case {number + 1} of {len(cases)}")
         # all media in turn, one for each image of a batch
-        rows = [media[(number + i) % len(media)] for i in range(len(case.image))]
-        medium = media[0] if len(media) == 1 else Medium.stack(rows)
+        in_turn = [media[(number + i) % len(media)] for i in range(len(case.image))]
+        medium = media[0] if len(media) == 1 else Medium.stack(in_turn)
         inputs = {"image": case.image, "distance": case.distance}
         if module.development.noise is not None:
             seeded = torch.Generator().manual_seed(number)
@@ -105,7 +105,9 @@ def check_onnx(
         change = max(change, float((exact - case.image).abs().max()))
         if takes_coefficients:
             batch = medium.expand(len(case.image))
-            inputs |= {name: torch.from_numpy(x) for name, x in coefficients_of(batch, light).items()}
+            inputs |= {
+                name: torch.from_numpy(x) for name, x in coefficients_of(batch, light).items()
+            }
         for state, session in sessions.items():
             name = f"{case.name}, optimisations {state}"
             differences.append((_difference(path, session, inputs, exact, name), name))
@@ -130,7 +132,8 @@ def plan_of(module: Underwater) -> BlurPlan:
 
 def _varied(light: Light, number: int, batch: int) -> Light:
     """Light of another pitch in each picture, and of lamps half to twice as bright."""
-    lamps = [replace(lamp, power=lamp.power * 2.0 ** (number % 3 - 1)) for lamp in light.lamps]
+    factor = 2.0 ** (number % 3 - 1)
+    lamps = tuple(replace(lamp, power=factor * lamp.power) for lamp in light.lamps)
     pitch = None if light.pitch is None else torch.linspace(-60.0, 60.0, batch + 2)[1:-1]
     return replace(light, lamps=lamps, pitch=pitch)
 

@@ -24,8 +24,8 @@ from uwaug.blur.plan import BlurPlan
 from uwaug.formation.demand import SIDES
 from uwaug.formation.image import form
 from uwaug.formation.underwater import Underwater
-from uwaug.onnx.blurs import Blurs
 from uwaug.light import Lamp, Light
+from uwaug.onnx.blurs import Blurs
 from uwaug.onnx.check import check_onnx, plan_of
 from uwaug.onnx.run import INPUTS, OF_LAMPS, coefficients_of
 from uwaug.optics.curves import FARTHEST
@@ -126,7 +126,7 @@ def _require_exportable(module: Underwater, coefficients: bool) -> None:
 class _Traced(Medium):
     """Medium in a graph, with what `under_lamp` changes, which a trace cannot compute."""
 
-    lamplit: Mapping[str, Tensor] = field(default_factory=dict)
+    lamplit: Mapping[str, Any] = field(default_factory=dict)
 
     def under_lamp(self) -> Medium:
         return replace(self, **self.lamplit)
