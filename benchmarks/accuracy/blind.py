@@ -3,11 +3,12 @@
     python -m benchmarks.accuracy.blind --photographs FOLDER --sources FOLDER --out PAGES
     python -m benchmarks.accuracy.blind --out PAGES --verdicts FILE…
 
-The first line mixes 60 photographs taken under water and 60 draws on pictures in air, and
-writes them as numbered pages of twenty, 220 px wide; `PAGES/key.json` says which is which. Show the
-pages, and nothing else, to someone who has not seen this project. A verdict is a line: the number,
-`C` (as for light, colour and haze, taken under water; what is shown does not matter), `O`
-(plausible, but odd) or `G` (gives itself away), and a reason. The second line counts.
+The first line mixes 60 photographs taken under water and 60 draws on pictures in air, and writes
+them as numbered pages of twenty, all cut to one shape, as shapes would tell; `PAGES/key.json` says
+which is which. Show the pages, and nothing else, to someone who has not seen this project. A
+verdict is a line: the number, `C` (as for light, colour and haze, taken under water; what is shown
+does not matter), `O` (plausible, but odd) or `G` (gives itself away), and a reason. The second line
+counts.
 """
 
 import argparse
@@ -17,14 +18,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageOps
 
 import uwaug
 from uwaug.distance import MadeUp
 from uwaug.files import read_picture
 
 COUNT, PAGE, ACROSS = 60, 20, 5
-SIDE, WIDTH, HEIGHT = (220, 180), 224, 200  # px, of a picture at most and of its place
+SIDE, WIDTH, HEIGHT = (220, 165), 224, 184  # px, of a picture and of its place
 
 
 def write_pages(photographs: Path, sources: Path, out: Path, seed: int) -> None:
@@ -45,8 +46,7 @@ def write_pages(photographs: Path, sources: Path, out: Path, seed: int) -> None:
         pen = ImageDraw.Draw(page)
         for place, which in enumerate(order[first : first + PAGE]):
             x, y = place % ACROSS * WIDTH, place // ACROSS * HEIGHT
-            pictures[which].thumbnail(SIDE)
-            page.paste(pictures[which], (x, y + 14))
+            page.paste(ImageOps.fit(pictures[which], SIDE), (x, y + 14))
             pen.text((x + 2, y + 1), str(first + place + 1), "black")
         page.save(out / f"page{first // PAGE + 1}.png")
     (out / "key.json").write_text(json.dumps([kinds[which] for which in order]))

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 from uwaug import JERLOV_TYPES, Water, load_water
 from uwaug._support import codec
+from uwaug.cli import choices
+from uwaug.optics.constituents import PLACES
 from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.water import CONTRAST_THRESHOLD
 
@@ -388,7 +390,7 @@ def test_water_by_name_and_contents() -> None:
     "water, error, message",
     [
         (7, TypeError, "water must be a Jerlov type, .* or a uwaug.Water, got 7"),
-        ("7D", ValueError, "water must be one of I, .*, 9C; contents such as .*csv; got '7D'"),
+        ("7D", ValueError, "must be one of I, .*, 9C, .*, fjord; contents such as .*csv; got '7D'"),
         ("chlorophyll=1:5", ValueError, "one number for each content, got 'chlorophyll=1:5'"),
         ("salt=3", ValueError, r"expected a water such as chlorophyll=5.*, got 'salt=3'"),
         ("nowhere.csv", FileNotFoundError, r"nowhere\.csv"),
@@ -397,3 +399,9 @@ def test_water_by_name_and_contents() -> None:
 def test_no_such_water(water: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         load_water(water)
+
+
+def test_choices_of_the_command_line_are_the_waters_that_have_names() -> None:
+    """It lists them without loading the library."""
+    assert (JERLOV_TYPES, tuple(PLACES)) == (choices.WATERS, choices.PLACES)
+    assert {load_water(name.upper()).name for name in PLACES} == {*PLACES}

@@ -132,9 +132,10 @@ def test_pictures_that_are_left_alone_are_not_looked_at() -> None:
 
 @pytest.mark.filterwarnings("ignore:even the nearest")
 def test_a_photograph_is_srgb_where_pictures_are_linear_light() -> None:
-    linear = RandomUnderwater(development=RandomDevelopment(color_space="linear"))
-    found = uwaug.like(GREEN, srgb_to_linear(pictures(2)), maps(2), augment=linear, **FEW)
-    seen = uwaug.like(GREEN, pictures(2), maps(2), **FEW)
+    linear = RandomUnderwater("9C", development=RandomDevelopment(color_space="linear"))
+    dim = 0.4 * GREEN  # taken for linear light, it lies .26 off
+    found = uwaug.like(dim, srgb_to_linear(pictures(2)), maps(2), augment=linear, **FEW)
+    seen = uwaug.like(dim, pictures(2), maps(2), augment=RandomUnderwater("9C"), **FEW)
     assert found.nearness is not None
     assert seen.nearness is not None
     # but for what resampling in linear light changes

@@ -31,6 +31,7 @@ from torch import Tensor
 
 import uwaug
 from uwaug import (
+    JERLOV_TYPES,
     Lamp,
     Light,
     MarineSnow,
@@ -326,7 +327,6 @@ def test_no_scene_is_nearer_than_a_lens_or_farther_than_one_sees(water: str, met
 
 
 KNOBS: dict[str, tuple[Any, str]] = {
-    "default": (None, "contents"),
     "drawn contents": (COAST, "contents"),
     "a type by contents": (RandomWater("7C", contrast_by="contents"), "contents"),
     "a type": ("7C", "distance"),
@@ -349,6 +349,17 @@ def test_by_what_a_contrast_is_reached(name: str, light: Light | None) -> None:
     assert (reached.scale != 1) == (not lamps)
     if not lamps or by == "contents":
         assert reached.contrast == pytest.approx(record["samples"][0]["water"]["contrast"])
+
+
+@pytest.mark.parametrize("light", [None, Light((Lamp(),), 0.5)])
+def test_default_types_stay_themselves_where_lamps_do_not_forbid_it(light: Light | None) -> None:
+    aug, z = RandomUnderwater(light=light), 2 + distances(16)
+    record = aug.make_params(picture(16), torch.Generator().manual_seed(0))
+    settings = aug.scenes(picture(16), z, record).settings
+    types = [sample["water"]["waters"][0] in JERLOV_TYPES for sample in record["samples"]]
+    assert [setting.reached.by == "distance" for setting in settings] == [
+        light is None and type for type in types
+    ]
 
 
 def test_a_picture_is_scaled_if_all_of_its_waters_have_names() -> None:
@@ -474,7 +485,8 @@ def test_distances_are_scaled_to_where_water_has_a_colour(
     metres: float, size: float, share: float, host: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(checks, "on_host", lambda x: host)
-    aug, z = RandomUnderwater(light=RandomLight(share)), 0.5 + distances(3)
+    water = RandomWater(contrast_by="contents")
+    aug, z = RandomUnderwater(water, light=RandomLight(share)), 0.5 + distances(3)
     z[..., 4:-4, :] = 1.0  # the median, whichever pixels are looked at
     z[..., :3, :3] = math.inf
     record = aug.make_params(picture(3))
@@ -484,14 +496,20 @@ def test_distances_are_scaled_to_where_water_has_a_colour(
     assert [setting.scale for setting in settings] == 3 * [size / metres]
 
 
+BY_CONTENTS = RandomWater(contrast_by="contents")
 TOO_CLEAR = RandomWater("I", contrast=0.4, contrast_by="contents")
 CLEAR = RandomWater("chlorophyll=.01", contrast=0.2, contrast_by="contents")
 ODD: list[tuple[RandomWater, Light | None, float, str]] = [
-    (RandomWater(), None, 350.0, "350 m is scaled by 0.0229: are distances metres?"),
-    (RandomWater(), None, 0.0035, "0.0035 m is scaled by 286: are distances metres?"),
+    (BY_CONTENTS, None, 350.0, "350 m is scaled by 0.0229: are distances metres?"),
+    (BY_CONTENTS, None, 0.0035, "0.0035 m is scaled by 286: are distances metres?"),
     (TOO_CLEAR, None, 3.0, "water I is too clear for 0.4 at 3 m: that is"),
     (CLEAR, None, 2.0, "=0.01 is too clear for 0.2 at 2 m.*a more turbid one; water.contrast=None"),
-    (RandomWater(contrast=0.9), LAMP, 30.0, "pure water leaves 0.16 of contrast, not 0.9 at 30 m"),
+    (
+        RandomWater(COAST, contrast=0.9),
+        LAMP,
+        30.0,
+        "pure water leaves 0.16 of contrast, not 0.9 at 30 m",
+    ),
     (RandomWater("II", contrast=0.9), LAMP, 4.0, "II leaves 0.16 of contrast, not 0.9 at 4 m"),
 ]
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from uwaug.presets.scene import Scene
 
 WATERS = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
+PLACES = ("reef", "harbour", "lake", "fjord")
 
 
 def complete(*words: str) -> Callable[[str], list[str]]:
@@ -49,8 +50,8 @@ Holes = Annotated[
 Water = Annotated[
     str | None,
     typer.Option(
-        help="Jerlov type, contents (chlorophyll=5,cdom=0.3), or CSV file.",
-        autocompletion=complete(*WATERS),
+        help="Jerlov type, place (harbour), contents (chlorophyll=5,cdom=0.3), or CSV file.",
+        autocompletion=complete(*WATERS, *PLACES),
     ),
 ]
 Preset = Annotated[

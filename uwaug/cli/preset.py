@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from uwaug.cli.choices import WATERS, Preset, complete
+from uwaug.cli.choices import PLACES, WATERS, Preset, complete
 from uwaug.cli.console import reported_errors
 from uwaug.presets.files import list_presets, preset_path
 
@@ -64,22 +64,24 @@ def waters(
     ] = False,
     preset: Preset = "survey",
 ) -> None:
-    """List the water types: in words, visibility, attenuation, doubts. Or their numbers, as JSON,
-    in a preset's camera, depth and light.
+    """List the waters: in words, visibility, attenuation, doubts. Or their numbers, as JSON, in a
+    preset's camera, depth and light.
     """
     if as_json:
         from uwaug.onnx import input_rows
         from uwaug.presets import load_preset
 
         with reported_errors():
-            modules = {name: load_preset(preset or "", water=name).module() for name in WATERS}
+            names = (*WATERS, *PLACES)
+            modules = {name: load_preset(preset or "", water=name).module() for name in names}
         media = {name: module.medium for name, module in modules.items()}
         print(json.dumps(input_rows(media, modules[WATERS[0]].light), ensure_ascii=False))
         return
     from rich.console import Console
     from rich.table import Table
 
-    from uwaug import Water, load_camera
+    from uwaug import Constituents, load_camera, load_water
+    from uwaug.optics.constituents import PLACES as CONTENTS
     from uwaug.optics.jerlov import IN_WORDS
     from uwaug.optics.spectra import WAVELENGTHS
 
@@ -87,19 +89,21 @@ def waters(
     weights = camera.weights(WAVELENGTHS)
     means = f"view: visibility; β, K_d: red, green, blue of the {camera.name}"
     table = Table(caption=means, caption_justify="left")
-    table.add_column("type", no_wrap=True)
+    table.add_column("water", no_wrap=True)
     for heading in ("view (m)", "β (1/m)", "K_d (1/m)"):
         table.add_column(heading, justify="right", no_wrap=True)
-    types = [Water.jerlov(name) for name in WATERS]
-    for water in types:
+    waters = [load_water(name) for name in (*WATERS, *PLACES)]
+    for water in waters:
         bands = water.at(WAVELENGTHS)
         means_of = [" ".join(f"{x:.3f}" for x in rate @ weights) for rate in (bands.beta, bands.kd)]
-        table.add_row(
-            f"{water.name}, {IN_WORDS[water.name]}", f"{water.visibility():.1f}", *means_of
-        )
+        words = IN_WORDS.get(water.name, "see below")
+        table.add_row(f"{water.name}, {words}", f"{water.visibility():.1f}", *means_of)
     Console().print(table)
+    print("\nPlaces, by their contents (mg/m³, 1/m, g/m³):")
+    for name in PLACES:
+        print(f"  {name}: {Constituents(**CONTENTS[name]).name}")
     print("\nNot as printed in Solonenko & Mobley 2015, or doubtful:")
-    for water in types:
+    for water in waters:
         for note in water.provenance:
             # values taken from the table as a whole have a citation without wavelengths
             if " nm: " in note:

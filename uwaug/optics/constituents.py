@@ -54,6 +54,14 @@ UNITS = {
 `optical_properties`.
 """
 
+PLACES = {
+    "reef": {"chlorophyll": 0.4, "cdom": 0.03, "minerals": 0.2},
+    "harbour": {"chlorophyll": 4.0, "cdom": 0.3, "minerals": 3.0},
+    "lake": {"chlorophyll": 10.0, "cdom": 0.4, "minerals": 1.0},
+    "fjord": {"chlorophyll": 5.0, "cdom": 0.6, "minerals": 0.2},
+}
+"""Waters by the name of a place, each by its contents: blue, grey-green, green, dark green."""
+
 MAX_CONTENT = 1e4
 """Largest amount of a content, in its unit."""
 

@@ -20,6 +20,7 @@ from uwaug._support.compiled import compiled
 from uwaug._support.types import Array
 from uwaug.optics.constituents import (
     MAX_CONTENT,
+    PLACES,
     UNITS,
     Constituents,
     optical_properties,
@@ -464,11 +465,11 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
     """Load a water by name, by its contents or from a file; a ``Water`` passes through.
 
     Args:
-        water: a Jerlov type, "3C" or "Jerlov 3C"; a mixture of two, "0.7*3C+0.3*7C", see
-            `Water.mix`; contents such as "chlorophyll=5,cdom=0.3,minerals=1" (see
-            `Water.from_constituents`); or the path of a CSV file (a string that ends in ``.csv``,
-            or any path object) whose rows are wavelength [nm], a, b, K_d [1/m], separated by
-            commas, with or without one header line.
+        water: a Jerlov type, "3C" or "Jerlov 3C"; a place, "reef", "harbour", "lake" or "fjord"; a
+            mixture of two Jerlov types, "0.7*3C+0.3*7C", see `Water.mix`; contents such as
+            "chlorophyll=5,cdom=0.3,minerals=1" (see `Water.from_constituents`); or the path of a
+            CSV file (a string that ends in ``.csv``, or any path object) whose rows are wavelength
+            [nm], a, b, K_d [1/m], separated by commas, with or without one header line.
 
     Raises:
         TypeError: if ``water`` is none of these.
@@ -491,12 +492,14 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
         return _read_csv(Path(water))
     if "*" in water:
         return _mixture(water)
+    if water.lower() in PLACES:
+        return Water.from_constituents(name=water.lower(), **PLACES[water.lower()])
     if "=" not in water:
         type = re.sub("^jerlov[ _-]*", "", water, flags=re.IGNORECASE)  # as sheets have it
         if type.upper() not in JERLOV_TYPES:
             alternatives = "contents such as 'chlorophyll=5', or a file that ends in .csv"
-            types = ", ".join(JERLOV_TYPES)
-            raise ValueError(f"water must be one of {types}; {alternatives}; got {water!r}")
+            names = ", ".join((*JERLOV_TYPES, *PLACES))
+            raise ValueError(f"water must be one of {names}; {alternatives}; got {water!r}")
         return Water.jerlov(type)
     contents = Constituents.parse(water)
     if not contents.fixed:

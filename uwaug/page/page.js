@@ -29,10 +29,8 @@ const SLIDERS = {
 };
 const WORDS = { ...tables.words, contents: "a mix of your own" };
 const PRESETS = {
-  Reef: { water: "II", contrast: 0.6, vertical_depth: 8, white_balance: 0 },
-  Harbour: { water: "contents", chlorophyll: 4, cdom: 0.3, minerals: 3, contrast: 0.2, vertical_depth: 5, white_balance: 0 },
-  Lake: { water: "contents", chlorophyll: 10, cdom: 0.4, minerals: 1, vertical_depth: 4, white_balance: 0 },
-  "Green fjord": { water: "contents", chlorophyll: 5, cdom: 0.6, minerals: 0.2, vertical_depth: 12, white_balance: 0 },
+  reef: { contrast: 0.6, vertical_depth: 8 }, harbour: { contrast: 0.2, vertical_depth: 5 },
+  lake: { vertical_depth: 4 }, fjord: { vertical_depth: 12 },
 };
 const DRAWN = ["water", ...Object.keys(SLIDERS).filter(name => SLIDERS[name][6] === "drawn")];
 const DEFAULTS = { water: embedded.water ?? "3C", other: "", nature: 0 };
@@ -145,7 +143,8 @@ $("other").append(new Option("nothing", ""), ...options(TYPES));
 for (const name in PRESETS) {
   const button = document.createElement("button");
   button.textContent = name;
-  button.addEventListener("click", () => { Object.assign(state, DEFAULTS, { times: state.times }, PRESETS[name]); changed(); });
+  const preset = { water: "contents", white_balance: 0, ...tables.places[name], ...PRESETS[name] };
+  button.addEventListener("click", () => { Object.assign(state, DEFAULTS, { times: state.times }, preset); changed(); });
   $("presets").append(button);
 }
 $("undo").addEventListener("click", () => { past.pop(); Object.assign(state, past.at(-1)); changed(); });

@@ -64,6 +64,7 @@ def tables() -> dict[str, Any]:
         "bands": WAVELENGTHS,
         "waters": {name: _spectra(Water.jerlov(name).at(WAVELENGTHS)) for name in JERLOV_TYPES},
         "words": IN_WORDS,
+        "places": constituents.PLACES,
         "pure": pure,
         "contents": {
             "phytoplankton": at_1,

@@ -71,7 +71,7 @@ class RandomLight(Noun):
 
     share: float = 1 / 12
     rigs: str | tuple[str, ...] = tuple(RIGS)
-    daylight: Range = number((0.0, 0.1), 0.0)
+    daylight: Range = number((0.05, 0.5), 0.0)
     power: Range = number((-1.0, 1.0), -10.0, 10.0)
     cone: Range = number((30.0, 75.0), 1.0, 90.0)
     across: Range = number((-0.1, 0.1), -2.0, 2.0)

@@ -34,17 +34,16 @@ Knob = Literal["contents", "distance"]
 CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.35), minerals=(0.25, 4.0))
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
-WATERS = ("IB", "II", "III", "1C", "3C", "5C", *[CONTENTS] * 6)
-"""Half of the default waters are Jerlov types, half are of other contents. The clear oceanic types
-would need 11 to 66 times what is in them to reach a contrast, and turn dark green. In 7C and 9C by
-name nearly one colour is left, which looks like a filter; silt makes such waters grey. (Others that
-were tried: benchmarks/CHOICES.md, default draws.)
+WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", *[CONTENTS] * 4)
+"""Seven of eleven default waters are Jerlov types, four are of other contents. In 9C by name
+nearly one colour is left, which looks like a filter; silt makes such waters grey. (Others that were
+tried: benchmarks/CHOICES.md, default draws.)
 """
 
-DIMMEST = 1 / 32
-"""Share of the surface's light that a scene has at least, where the exposure is automatic: what the
-largest gain makes up for, and an octave for what is lost on the way to the camera. Waters that are
-turbid enough for a scene at arm's length are black at 10 m.
+DIMMEST = 1 / 8
+"""Share of the surface's light that a scene has at least, where the exposure is automatic. Waters
+that are turbid enough for a scene at arm's length are black at 10 m, and before that only one
+colour is left in them, which a camera's matrix makes neon.
 """
 
 _CURVES = 0.002
@@ -123,9 +122,9 @@ class RandomWater(Noun):
     logarithm.
 
     Args:
-        waters: None for `WATERS`: half of the pictures in Jerlov types, half in waters of other
-            contents. Else one or several of what `uwaug.load_water` takes (Jerlov types, contents,
-            CSV files, `Water` objects); `Constituents` (or their text, such as
+        waters: None for `WATERS`: seven of eleven pictures in Jerlov types, the others in waters of
+            other contents. Else one or several of what `uwaug.load_water` takes (Jerlov types,
+            places, contents, CSV files, `Water` objects); `Constituents` (or their text, such as
             "chlorophyll=1:20,cdom=.1:1"), whose contents are drawn anew for each picture,
             uniformly in their logarithm; and a `Medium`, such as that of a fit, which stays as it
             is: contrast, depth, g, mu, blur, camera and its matrix do not apply to it. Picked with
@@ -137,11 +136,11 @@ class RandomWater(Noun):
             allows; a scene whose median lies below 1 m or above 8 m is scaled to that first.
             "distance" scales the scene, to a median between .1 and 100 m, and leaves the water as
             it is. Under a `uwaug.Light` no scene is scaled, as lamps stand in metres: there
-            contents alone can reach it. None: by distance where all waters of a picture were asked
-            for by name, else by contents.
+            contents alone can reach it. None: by distance where all waters of a picture are names,
+            else, and under lamps where nobody named a water, by contents.
         mixing: share of a second water, picked like the first; 0 for none, (0, 1) for a continuous
             slider between types. Contents of both are drawn at the same shares of their ranges.
-        vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/32 of
+        vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/8 of
             the light is left, which it can make up for.
         g: share of the scattered light that leaves the line of sight, 0…1.
         mu: share of the scattered light sent towards the camera, 0…1. The veil of endless water has
@@ -180,13 +179,13 @@ class RandomWater(Noun):
     contrast: Range | None = number((0.07, 0.45), 1e-3, 1.0, logarithmic=True)
     contrast_by: Knob | None = None
     mixing: Range = number(0.0, *DOMAIN["mixing"])
-    vertical_depth: Range = number((2.0, 13.0), *DOMAIN["vertical_depth"])
+    vertical_depth: Range = number((1.0, 15.0), *DOMAIN["vertical_depth"])
     g: Range = number(0.05, *DOMAIN["g"])
     mu: Range | None = number((0.02, 0.07), *DOMAIN["mu"])
     point_spread: PointSpread | None = None
     field: tuple[float, float] | None = (0.8, 1.2)
     camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)"
-    color_matrix: Range | None = number((0.0, 0.8), *DOMAIN["color_matrix"])
+    color_matrix: Range | None = number((0.0, 0.9), *DOMAIN["color_matrix"])
     snow: MarineSnow | None = None
 
     names: Sequence[str] = derived(init=False, repr=False)
@@ -277,8 +276,9 @@ class RandomWater(Noun):
             water = water.mix(second[0], draw["mixing"])
         scale, reached = 1.0, None
         if "contrast" in draw:
-            are_names = self.waters is not None and {*map(type, draw["waters"])} == {str}
-            knob = self.contrast_by or ("distance" if are_names else "contents")
+            are_names = {*map(type, draw["waters"])} == {str}
+            stays = are_names and (self.waters is not None or not measured.lamps)
+            knob = self.contrast_by or ("distance" if stays else "contents")
             reach = _by_distance if knob == "distance" else _by_contents
             water, reached = reach(water, draw["contrast"], measured)
             scale = reached.scale
