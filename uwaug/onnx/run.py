@@ -90,7 +90,8 @@ def coefficients_of(medium: Medium, light: Light | None = None) -> dict[str, Arr
         sent = torch.tensor([[lamp.power * part for part in lamp.color] for lamp in light.lamps])
         tensors["lamp_light"] = sent.expand(len(medium), -1, -1)
     if light is not None and light.pitch is not None:
-        tensors["pitch"] = torch.as_tensor(light.pitch).expand(len(medium))
+        pitch = torch.as_tensor(light.pitch).reshape(-1)
+        tensors["pitch"] = pitch if len(pitch) > 1 else pitch.expand(len(medium))
     return {
         name: np.ascontiguousarray(value.detach().to("cpu", torch.float32).numpy())
         for name, value in tensors.items()
