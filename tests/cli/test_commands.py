@@ -239,6 +239,15 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
             "--gain fixed",
             "--model waters fits the gain",
         ),
+        (
+            "fit --clean a.png --observed b.png --distance 3 --out f.json --surfaces grey",
+            "--surfaces grey is of --model waters",
+        ),
+        (
+            "fit --clean a.png --observed b.png --distance 3 --out f.json --darkest 0",
+            "--darkest is of fits without --clean",
+        ),
+        ("fit --observed b.png --distance 3 --out f.json --model waters", "needs --clean"),
         ("degrade photos --set water.vertical_depth=-1 --out wet", "Error: vertical_depth must be"),
         ("degrade photos --set vertical_depth=1 --out wet", "has no 'vertical_depth', only water,"),
         ("degrade photos --out photos", "--resume"),
@@ -334,6 +343,21 @@ def test_a_fit_is_a_preset(folder, run):
         code, _, err = run(*line.split(), "--preset", "fit.json", "--water", "II")
         assert code == 2
         assert "holds coefficients, which no water replaces" in err
+
+
+def test_a_veil_is_estimated_without_a_clean_picture(folder, run):
+    z = torch.linspace(1, 9, 48 * 64).reshape(1, 48, 64)
+    clean = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0)) ** 4
+    medium = uwaug.Medium.from_coefficients((0.4,) * 3, (0.4,) * 3, (0.1, 0.3, 0.4))
+    np.save("z.npy", z[0].numpy())
+    np.save("wet.npy", uwaug.Underwater(medium)(clean, z).permute(1, 2, 0).numpy())
+    line = ("fit", "--observed", "wet.npy", "--distance", "z.npy", "--model", "veil")
+    for flags, state in (((), "not identified"), (("--darkest", "0"), "free")):
+        code, out, _ = run(*line, *flags, "--out", "veil.json", "--force", "--figure", "veil.png")
+        assert code == 0
+        number = json.loads((folder / "veil.json").read_text())["parameters"]["G_red"]
+        assert number["state"] == state
+        assert ("darkest=0 (--darkest 0) would tell" in out) == (not flags)
 
 
 def test_a_haze_of_encoded_values_is_fitted_and_made_again(folder, run):

@@ -113,7 +113,7 @@ def test_what_does_not_show_is_not_identified(settled):
             one, two, *_ = problem.jacobian(theta).T
             return np.stack([one, one, 0 * one, two], 1)
 
-    twins = Twins(residual=problem.residual, pixels=problem.pixels)
+    twins = Twins(residual=problem.residual, pixels=problem.pixels, model=problem.model)
     covariance = covariance_of(twins, solution)
     assert [covariance.shows(unit) for unit in np.eye(4)] == [False, False, False, True]
     assert covariance.shows(np.array([1.0, 1.0, 0.0, 0.0]))

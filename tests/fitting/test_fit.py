@@ -324,3 +324,30 @@ def test_progress(hazy, capsys, monkeypatch):
     say("late")
     checked_options(1000, 0, False)("never")
     assert capsys.readouterr() == ("", "uwaug: late\n")
+
+
+@pytest.mark.parametrize("model", ["veil", "auto"])
+def test_a_chart_of_few_colours_at_four_distances(model: str) -> None:
+    """96 colours, one number for a patch, tell 12 numbers of 0.3 % noise."""
+    random = torch.Generator().manual_seed(0)
+    clean = 0.05 + 0.7 * torch.rand(3, 1, 24, generator=random).expand(3, 4, 24)
+    z = torch.tensor([1.0, 2.0, 4.0, 7.0])[:, None].expand(1, 4, 24)
+    beta, veil = (torch.tensor(x)[:, None, None] for x in ((0.45, 0.12, 0.1), (0.05, 0.3, 0.4)))
+    observed = clean * torch.exp(-beta * z) - veil * torch.expm1(-beta * z)
+    observed += 0.003 * torch.randn(observed.shape, generator=random)
+    fit = uwaug.fit(clean, observed, z, model=model, color_space="linear")
+    assert {x.name.partition(" ")[0] for x in fit.candidates} <= {"haze", "veil"}
+    truth = {"beta": beta.flatten(), "veil": veil.flatten()}
+    assert np.abs(errors(fit, truth, ("beta", "veil"))).max() < 4
+    for kind, values in truth.items():
+        for colour, value in zip(COLOURS, values.tolist(), strict=True):
+            assert fit.parameters[f"{kind}_{colour}"].value == pytest.approx(value, rel=0.1)
+
+
+def test_a_chart_without_noise_is_exact() -> None:
+    clean = torch.linspace(0.05, 0.75, 288).double().reshape(24, 4, 3).permute(2, 1, 0)
+    z = torch.tensor([1.0, 2.0, 4.0, 7.0]).double()[:, None].expand(1, 4, 24)
+    observed = clean * torch.exp(-0.3 * z) - 0.2 * torch.expm1(-0.3 * z)
+    fit = uwaug.fit(clean, observed, z, color_space="linear", gain="fixed")
+    assert fit.model == "haze"
+    assert fit.parameters["beta_green"].value == pytest.approx(0.3, rel=1e-6)

@@ -78,8 +78,9 @@ def test_a_summary_says_what_its_numbers_are(auto, haze):
     lines = {line.split()[0]: line for line in auto.summary().splitlines() if line.strip()}
     assert lines["width"].endswith(f"px  σ at {auto.geometry.reference:.3g} m")
     assert lines["veil_red"].endswith("of white, V(0)")
-    assert lines["beta_red"].endswith(" 1/m")
-    assert "1/m  of direct and forward light together" in haze.summary()
+    near, far = auto.geometry.nearest, auto.geometry.farthest
+    assert lines["G_red"].endswith(f" 1/m  one rate for {near:.3g} to {far:.3g} m")
+    assert "m, of direct and forward light together" in haze.summary()
     assert "of direct and forward" not in auto.summary()
     sharp = Parameter(0.3, 1e-9, 0.3 - 2e-9, 0.3 + 2e-9, "1/m", "free")
     assert "0.299999998 … 0.300000002" in replace(auto, parameters={"G_red": sharp}).summary()
@@ -96,13 +97,17 @@ def test_no_text_overlaps_or_leaves_the_picture(result, monkeypatch):
 
 
 def test_a_sheet_shows_what_is_left(auto):
-    figure = auto.plot()
+    left_out = torch.zeros_like(auto.pictures.usable)
+    left_out[..., :20, :30] = True
+    usable = auto.pictures.usable & ~left_out
+    figure = replace(auto, pictures=replace(auto.pictures, usable=usable)).plot()
+    assert "Fitted; left-out pixels are white" in [x.get_title(loc="left") for x in figure.axes]
     (axis,) = (x for x in figure.axes if "Observed −" in x.get_title(loc="left"))
     for c, bars in enumerate(axis.containers):
         shown = bars.lines[0].get_ydata()
         assert shown.tolist() == [row.mean[c] for row in auto.remainder]
     pictures = [x.images[0].get_array() for x in figure.axes if x.images]
-    wanted = (auto.pictures.observed[0], auto.rendered()[0].double())
+    wanted = (auto.pictures.observed[0], auto.rendered()[0].double().where(usable[0], 1.0))
     for shown, light in zip(pictures, wanted, strict=True):
         picture = linear_to_srgb(light.clamp(0, 1)).permute(1, 2, 0)
         np.testing.assert_allclose(np.asarray(shown), picture.numpy(), atol=1e-6)

@@ -64,6 +64,15 @@ def test_what_is_known_of_dark_surfaces_narrows(veil: Fit) -> None:
     assert values(usual, "G")[2] == values(veil, "G")[2]
 
 
+def test_what_would_identify_a_number_is_said_and_does(veil: Fit) -> None:
+    usual = fit_veil(veiled(veil_water()), STONES)
+    unknown = [name for name, number in usual.parameters.items() if number.value is None]
+    (note,) = (note for note in usual.notes if "darkest=0 (--darkest 0) would tell" in note)
+    assert set(note.partition("would tell ")[2].rstrip(".").split(", ")) == set(unknown)
+    assert len(unknown) > 2
+    assert "would tell" not in veil.summary()  # of the same picture with darkest=0
+
+
 def test_a_scene_without_anything_dark_tells_no_growth() -> None:
     """Of surfaces of .5 to 1 the darkest are as light at 2 m as at 5."""
     clean, z = scene(3)
@@ -71,6 +80,7 @@ def test_a_scene_without_anything_dark_tells_no_growth() -> None:
     fit = fit_veil(as_bytes(uwaug.form_image(light, z.double(), medium()).image), z)
     assert values(fit, "G") == values(fit, "source") == [None] * 3
     assert "the water is very turbid, or nothing in view is black" in fit.summary()
+    assert "Something black nearer than 2." in fit.summary()
 
 
 def test_chance_does_not_matter(veil: Fit) -> None:
@@ -87,6 +97,7 @@ def test_a_straight_line_has_no_end() -> None:
     fit = fit_veil(veiled(thin), STONES, **BLACK)
     assert values(fit, "veil") == values(fit, "G") == [None] * 3
     assert "In red, green, blue the veil still grows as a straight line at 7" in fit.summary()
+    assert "Open water in view" in fit.summary()
     assert values(fit, "source") == pytest.approx((0.04, 0.04, 0.05), rel=0.2)
     there = thin.backscatter(torch.tensor([2.0, 6.0]))
     assert (at(fit, 2.0, 6.0) - there).abs().max() < 0.02

@@ -1,3 +1,5 @@
+from typing import Literal
+
 import pytest
 import torch
 from fitted import Known, scene, seen
@@ -6,6 +8,7 @@ import uwaug
 import uwaug.fitting.jerlov
 from uwaug.fitting import Fit, fit_water
 from uwaug.optics.scattering import Scattering
+from uwaug.optics.surfaces import Surfaces
 
 NOISE = "What is left is not noise"
 
@@ -26,10 +29,11 @@ def test_finds_type_visibility_and_depth(water: Fit, known: Known) -> None:
     assert abs(depth.value - 3) < 4 * depth.error
     assert water.water is not None
     assert water.water.visibility() == pytest.approx(visibility.value)
-    assert {tried.name for tried in water.candidates} == set(uwaug.JERLOV_TYPES)
+    tried = {f"{name}, {kind}" for name in uwaug.JERLOV_TYPES for kind in ("grey", "spectral")}
+    assert {candidate.name for candidate in water.candidates} == tried
     behind = [tried.behind for tried in water.candidates]
     assert behind == sorted(behind)
-    assert "All others explain the picture worse" in water.notes[0]
+    assert water.notes[0].startswith("Jerlov type 3C, spectral surfaces. All others explain the")
     assert "visibility 4.9" in water.summary() or "visibility 5" in water.summary()
     assert not any(NOISE in note for note in water.notes)
 
@@ -78,13 +82,37 @@ def test_what_is_known_is_given(two: None) -> None:
     assert fit.medium.point_spread == uwaug.PointSpread.paper()
 
 
-@pytest.mark.parametrize("wrong", ["no Jerlov water", "distances"])
-def test_what_the_types_do_not_explain_is_said(two: None, wrong: str) -> None:
-    clean, observed, z = seen(medium_of("3C", 2.0))
-    if wrong == "distances":
+@pytest.mark.parametrize("surfaces", ["grey", "spectral"])
+def test_surfaces_are_told_and_depth_is_in_its_interval(two: None, surfaces: Surfaces) -> None:
+    """Of a picture as `uwaug degrade --plain` makes it, by the default tolerance, in 8 bits."""
+    clean, z = scene(step=5)
+    law = uwaug.PointSpread.calibrated(0.866 * clean.shape[-1])
+    plain = uwaug.Medium.from_water(
+        "3C", vertical_depth=4.0, g=0.05, point_spread=law, surfaces=surfaces
+    )
+    fit = fit_water(clean, uwaug.Underwater(plain)(clean, z), z, pixels=1000)
+    assert (fit.model, fit.adequate) == ("3C", True)
+    assert fit.notes[0].startswith(f"Jerlov type 3C, {surfaces} surfaces.")
+    depth = fit.parameters["vertical_depth"]
+    assert depth.low is not None
+    assert depth.high is not None
+    assert depth.low <= 4 <= depth.high
+    assert depth.high - depth.low < 0.2
+
+
+@pytest.mark.parametrize("wrong", ["no Jerlov water", "distances", "surfaces"])
+def test_no_type_is_named_that_does_not_explain_the_picture(two: None, wrong: str) -> None:
+    clean, observed, z = seen(medium_of("3C", 2.0), noise=0.002)
+    surfaces: Literal["auto", "grey"] = "auto"
+    if wrong == "surfaces":
+        surfaces = "grey"
+    elif wrong == "distances":
         z = z + 0.5
     else:
         grey = uwaug.Medium.from_coefficients((0.3,) * 3, (0.2,) * 3, (0.5,) * 3)
         clean, observed, z = seen(grey)
-    fit = fit_water(clean, observed, z, pixels=1000)
+    fit = fit_water(clean, observed, z, surfaces=surfaces, pixels=1000)
     assert any(NOISE in note for note in fit.notes)
+    assert (fit.model, fit.adequate) == ("no Jerlov type", False)
+    assert fit.notes[0].startswith("No Jerlov type explains the picture, so none is named.")
+    assert f"about {fit.candidates[0].values['visibility']:.2g} m far" in fit.notes[0]

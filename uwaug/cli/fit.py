@@ -1,7 +1,7 @@
 """`uwaug fit`: the water of a picture."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -10,10 +10,16 @@ from uwaug.cli.console import print_written, reported_errors, require_writable
 
 
 def fit(
-    clean: Annotated[Path, typer.Option(help="Picture of the scene without water.")],
     observed: Annotated[Path, typer.Option(help="Picture of the scene in the water.")],
     distance: Distance,
     out: Annotated[Path, typer.Option(help="JSON file to write.")],
+    clean: Annotated[
+        Path | None,
+        typer.Option(
+            help="Picture of the scene without water. Without it, the veil alone is estimated, "
+            "from the darkest pixels at each distance."
+        ),
+    ] = None,
     unit: Unit = "m",
     holes: Annotated[
         str, typer.Option(help="Pixels of 0 or NaN: none drops them, far is open water; or error.")
@@ -22,6 +28,17 @@ def fit(
         Literal["auto", "haze", "veil", "gaussian", "exponential", "waters"],
         typer.Option(help="Model of the water; waters finds its Jerlov type, contents and depth."),
     ] = "auto",
+    surfaces: Annotated[
+        Literal["auto", "grey", "spectral"],
+        typer.Option(help="Surfaces of --model waters: grey, with spectra, or what fits better."),
+    ] = "auto",
+    darkest: Annotated[
+        float | None,
+        typer.Option(
+            help="Without --clean: share of light that the darkest surfaces may reflect, .05 by "
+            "default; 0 if something is black at each distance."
+        ),
+    ] = None,
     gain: Annotated[
         Literal["free", "fixed"], typer.Option(help="Exposure and daylight above the scene.")
     ] = "free",
@@ -32,7 +49,7 @@ def fit(
     figure: Annotated[Path | None, typer.Option(help="PNG file of the fit to write.")] = None,
     force: Force = False,
 ) -> None:
-    """Recover a water from a picture without it and a picture in it."""
+    """Recover a water from pictures without it and in it; or its veil from the latter alone."""
     require_writable(out, force=force, endings=(".json",))
     if figure is not None:
         require_writable(figure, force=force, endings=(".png",))
@@ -43,26 +60,38 @@ def fit(
     from uwaug.distance import Metres
     from uwaug.distance.unknown import of_metres
     from uwaug.files.pictures import read_picture
-    from uwaug.fitting import fit_water
+    from uwaug.fitting import fit_veil, fit_water
 
     with reported_errors():
         if figure is not None:
             require("plot", "matplotlib")
         if model == "waters" and gain == "fixed":
             raise ValueError("--model waters fits the gain: leave out --gain fixed")
-        pictures = read_picture(clean), read_picture(observed)
-        z = read_metres(distance, unit, pictures[0])
+        if model != "waters" and surfaces != "auto":
+            raise ValueError(f"--surfaces {surfaces} is of --model waters, got --model {model}")
+        if clean is None and (model not in ("auto", "veil") or gain == "fixed"):
+            got = f"--model {model} --gain {gain}"
+            raise ValueError(f"{got} needs --clean; without it, the veil alone is estimated")
+        if clean is not None and darkest is not None:
+            raise ValueError("--darkest is of fits without --clean: leave one of them out")
+        wet = read_picture(observed)
+        z = read_metres(distance, unit, wet)
         if holes in ("error", "none"):
             z = z.masked_fill(of_metres(z), torch.nan)
         else:
-            z = Metres(number_or_word(holes)).metres(z, pictures[0], {})
+            z = Metres(number_or_word(holes)).metres(z, wet, {})
         if holes == "error" and (unknown := int((~(z > 0)).sum())):
             cure = "--holes none leaves them out, and far takes them for open water"
             raise ValueError(f"{distance}: unknown at {unknown} of {z.numel()} pixels: {cure}")
-        if model == "waters":
-            result = fit_water(*pictures, z, color_space=color_space)
+        if clean is None:
+            given: dict[str, Any] = {} if darkest is None else {"darkest": darkest}
+            result = fit_veil(wet, z, color_space=color_space, **given)
+        elif model == "waters":
+            dry = read_picture(clean)
+            result = fit_water(dry, wet, z, surfaces=surfaces, color_space=color_space)
         else:
-            result = uwaug.fit(*pictures, z, model=model, gain=gain, color_space=color_space)
+            dry = read_picture(clean)
+            result = uwaug.fit(dry, wet, z, model=model, gain=gain, color_space=color_space)
         result.save(out)
         print(result.summary())
         print_written(out)

@@ -59,7 +59,8 @@ def fit(
         model: "haze" (direct light and veil, one coefficient), "veil" (a coefficient for each), or
             "gaussian" and "exponential" (forward scatter with a width law, too). "auto" tries all
             and takes the one with the fewest numbers that predicts left-out blocks of the picture
-            as well as any (one-standard-error rule).
+            as well as any (one-standard-error rule). Where the short side has four pixels or less,
+            as a table of a chart's patches by distance has, it tries "haze" and "veil".
         fixed: known numbers by their names in `Fit.parameters`, such as {"G_red": .3}: beta, G and
             veil of a colour, width, exponent.
         gain: "free": each colour gets a factor for exposure, white balance and daylight lost above
@@ -77,7 +78,7 @@ def fit(
         The fit: the medium, its numbers, their errors, and what the pictures cannot tell.
 
     Raises:
-        TypeError, ValueError: if an input does not suit; if fewer than 500 pixels can be used, the
+        TypeError, ValueError: if an input does not suit; if fewer than 50 pixels can be used, the
             distances are all alike, or clean and observed are one picture.
 
     Examples:
@@ -158,7 +159,8 @@ def _models(
     candidates = [
         CoefficientModel(spec, geometry, gain, {})
         for spec in MODELS.values()
-        if name in ("auto", spec.name)
+        if name == spec.name
+        or (name == "auto" and (spec.shape is None or geometry.widest > NARROW_PX))
     ]
     models = [x for x in candidates if set(fixed) <= set(x.fixable)]
     if not models:

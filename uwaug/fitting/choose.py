@@ -54,7 +54,8 @@ class FittedModel(Generic[M]):
         """Excess of the loss over that of another candidate, and the standard error of it."""
         # blocks are independent of each other, their pixels are not
         difference = (self.losses - other.losses)[(self.losses > 0) | (other.losses > 0)]
-        return float(difference.sum()), float(np.sqrt(difference.size * difference.var()))
+        mean = difference.sum() / max(difference.size, 1)
+        return float(difference.sum()), float(np.linalg.norm(difference - mean))
 
     @cached_property
     def rms(self) -> float:
@@ -87,6 +88,7 @@ def result_of(
     covariance = covariance_of(objective, solution)
     numbers, matrix = parameters(winner.model, solution, covariance)
     rest, best, rows = remainder(objective, solution.theta), best_of(candidates), []
+    doubts = left_over(rest, covariance.design_effect, winner.rms)
     for x in candidates:
         count = int((x.objective.pixels.weights > 0).sum())
         error = float(np.sqrt(x.loss / max(count, 1)))
@@ -100,9 +102,10 @@ def result_of(
         medium=medium,
         geometry=pictures.geometry,
         rms=winner.rms,
-        notes=(*left_over(rest, covariance.design_effect, winner.rms), *unknown(numbers)),
+        notes=(*doubts, *unknown(numbers)),
         candidates=tuple(rows),
         remainder=tuple(rest),
+        adequate=not doubts,
         color_space=pictures.color_space,
         pictures=pictures,
     )

@@ -52,7 +52,9 @@ class Covariance(NamedTuple):
         return bool((hidden <= _UNMOVED_SHARE * np.linalg.norm(scaled)).all())
 
 
-def sandwich(jacobian: Array, score: Array, curvature: Array, blocks: Places) -> Covariance:
+def sandwich(
+    jacobian: Array, score: Array, curvature: Array, blocks: Places, offsets: Array | None = None
+) -> Covariance:
     """Sandwich estimate H⁻¹·S·H⁻¹ of the covariance: H from the slopes, S from the scores of blocks
     of the picture. Residuals of a block may depend on each other, as a wrong model's do. In no
     direction is it less than for independent pixels.
@@ -61,6 +63,8 @@ def sandwich(jacobian: Array, score: Array, curvature: Array, blocks: Places) ->
         jacobian (N x numbers): derivatives of the residuals.
         score, curvature (N): first two derivatives of half of each residual's loss.
         blocks (N): number of the block of each residual.
+        offsets (NxK): changes of the residuals by K independent errors that no block tells, of one
+            standard deviation each.
 
     Source: White 1982; over blocks, Liang and Zeger 1986.
     """
@@ -85,6 +89,9 @@ def sandwich(jacobian: Array, score: Array, curvature: Array, blocks: Places) ->
     wider = independent @ directions * np.sqrt(ratios.clip(min=1.0))
     inner = root @ wider @ wider.T @ root.T
     design_effect = np.median(np.diag(inner) / np.diag(root @ independent @ root.T)) ** 0.5
+    if offsets is not None:
+        moved = root @ (scaled @ root).T @ (curvature[:, None] * offsets)
+        inner = inner + moved @ moved.T
     matrix = np.zeros((len(length), len(length)))
     matrix[np.ix_(used, used)] = inner / np.outer(length[used], length[used])
     hidden = np.zeros((len(length), int((~visible).sum())))
@@ -95,8 +102,11 @@ def sandwich(jacobian: Array, score: Array, curvature: Array, blocks: Places) ->
 def covariance_of(objective: Objective[M], solution: Solution) -> Covariance:
     """Covariance of all numbers of a fit, over blocks of its pictures."""
     residual = objective.residual(solution.theta)
-    jacobian = objective.jacobian(solution.theta)
-    return sandwich(jacobian, *influence(residual), objective.pixels.blocks_of_values)
+    jacobian, pixels = objective.jacobian(solution.theta), objective.pixels
+    weights = pixels.weights[0, :, 0].numpy()
+    offsets = objective.model.offset * np.eye(3)[:, None] * weights[..., None]
+    blocks = pixels.blocks_of_values
+    return sandwich(jacobian, *influence(residual), blocks, offsets.reshape(-1, 3))
 
 
 def parameters(

@@ -4,7 +4,7 @@ import math
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -36,6 +36,9 @@ _MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
 _MIN_CONTENTS, _MAX_CONTENTS = 1e-3, 1e3
 _THETA_STEP = 1e-5  # of a difference quotient
 _RESULT_TOLERANCE = 0.002  # of the medium of a result
+# Linear light. Media and blurs of the default tolerance are off by .0007 RMS, and half of a step
+# of 8 bits is .002: of each colour about so much is alike everywhere.
+_OFFSET = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +61,12 @@ class TypeModel(Model):
     point_spread: PointSpread
     depth: float | None
     geometry: Geometry
+    offset: float = _OFFSET
 
     @property
     def name(self) -> str:
-        """Name of the type."""
-        return self.water.name
+        """Name of the type, and how its surfaces are taken."""
+        return f"{self.water.name}, {self.surfaces}"
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
@@ -151,7 +155,7 @@ def fit_water(
     distance: Tensor,
     *,
     camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)",
-    surfaces: Surfaces = "spectral",
+    surfaces: Surfaces | Literal["auto"] = "auto",
     vertical_depth: float | None = None,
     g: float = Scattering.CALIBRATED.g,
     point_spread: PointSpread | None = None,
@@ -163,13 +167,14 @@ def fit_water(
     """Find the Jerlov type of a scene's water, its contents and its vertical depth.
 
     Contents, vertical depth and exposure are fitted for each of the ten types, by spectra of water
-    and camera through `Medium.from_water`. The type with the smallest residual is taken. Defaults
-    are those of `uwaug.RandomUnderwater`.
+    and camera through `Medium.from_water`. The type with the smallest residual is taken, and named
+    only if what it leaves is noise. Defaults are those of `uwaug.RandomUnderwater`.
 
     Args:
         clean, observed, distance, color_space, seed, progress: as of `uwaug.fit`.
         camera: as of `Medium.from_water`. A wrong one gives a wrong water.
-        surfaces: "spectral" or "grey", as of `Medium.from_water`.
+        surfaces: "spectral" or "grey", as of `Medium.from_water`; "auto" tries both, and keeps
+            what explains the picture better.
         vertical_depth: depth of the scene below the surface, m; None: it is fitted, 0…30 m.
         g: share of the scattered light that leaves the line of sight; μ is 1.5·g. One picture does
             not tell it from the water.
@@ -179,9 +184,10 @@ def fit_water(
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
 
     Returns:
-        The fit: its `model` is the type, its `water` goes into `uwaug.RandomUnderwater`. Numbers
-        are visibility [m], contents (the factor of `Water.with_contents`), vertical depth [m] and
-        gain (exposure). Candidates are the ten types.
+        The fit: its `model` is the type, or "no Jerlov type" if the best one leaves more than
+        noise; its `water`, of the best type, goes into `uwaug.RandomUnderwater`. Numbers are
+        visibility [m], contents (the factor of `Water.with_contents`), vertical depth [m] and gain
+        (exposure). Candidates are the ten types, with each kind of surfaces.
 
     Raises:
         TypeError, ValueError: as `uwaug.fit`; if too few pixels lie above the noise.
@@ -200,7 +206,7 @@ def fit_water(
     say = checked_options(pixels, seed, progress)
     checks.within("g", g, *checks.DOMAIN["g"])
     camera = load_camera(camera)
-    checks.one_of("surfaces", surfaces, get_args(Surfaces))
+    checks.one_of("surfaces", surfaces, (*get_args(Surfaces), "auto"))
     if vertical_depth is not None:
         checks.within("vertical_depth", vertical_depth, *checks.DOMAIN["vertical_depth"])
     pictures = Pictures.of(clean, observed, distance, color_space)
@@ -210,7 +216,8 @@ def fit_water(
         law = PointSpread.calibrated(FOCAL_LENGTH * geometry.size[1])
     checks.instance("point_spread", law, PointSpread)
     models = [
-        TypeModel(Water.jerlov(name), camera, surfaces, g, law, vertical_depth, geometry)
+        TypeModel(Water.jerlov(name), camera, kind, g, law, vertical_depth, geometry)
+        for kind in (get_args(Surfaces) if surfaces == "auto" else (surfaces,))
         for name in JERLOV_TYPES
     ]
     # a medium that is made in inference mode could not be trained
@@ -238,16 +245,32 @@ def fit_water(
         model, theta = winner.model, winner.solution.theta
         medium = model.medium(theta, _RESULT_TOLERANCE)
         result = result_of(winner, candidates, model.name, medium, pictures)
-    equals = [x.name for x in result.candidates[1:] if x.behind <= x.behind_error]
-    comparison = "All others explain the picture worse by more than one standard error."
-    if equals:
-        comparison = f"Within one standard error, these explain it as well: {', '.join(equals)}."
-    notes = (
-        f"Jerlov type {model.name}. {comparison}",
-        f"The residual is {result.rms:.2g} RMS of linear light. Camera, g, surfaces and a linear "
-        "camera are taken for known.",
+    return replace(
+        result,
+        model=model.water.name if result.adequate else "no Jerlov type",
+        notes=(*_notes(result, model), *result.notes),
+        water=model.water_of(theta),
     )
-    return replace(result, notes=(*notes, *result.notes), water=model.water_of(theta))
+
+
+def _notes(result: Fit, model: TypeModel) -> list[str]:
+    """Sentences on the type, or on what is known where none explains the picture."""
+    given = f"Camera, g, {model.surfaces} surfaces and a linear camera are taken for known."
+    residual = f"The residual is {result.rms:.2g} RMS of linear light. {given}"
+    if result.adequate:
+        equals = [x.name for x in result.candidates[1:] if x.behind <= x.behind_error]
+        comparison = "All others explain the picture worse by more than one standard error."
+        if equals:
+            names = "; ".join(equals)
+            comparison = f"Within one standard error, these explain it as well: {names}."
+        return [f"Jerlov type {model.name} surfaces. {comparison}", residual]
+    metres = result.candidates[0].values["visibility"]
+    return [
+        "No Jerlov type explains the picture, so none is named. In what comes nearest one sees "
+        f"about {metres:.2g} m far; depth and contents may be far off. The rates of each colour "
+        "need no type: `uwaug.fit` (--model auto) tells them.",
+        residual,
+    ]
 
 
 def _start(objective: Objective[TypeModel]) -> Array:

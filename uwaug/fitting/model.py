@@ -63,7 +63,13 @@ class Quantity(NamedTuple):
 
 
 class Model(Protocol):
-    """A picture as a function of θ, as fits need it."""
+    """A picture as a function of θ, as fits need it.
+
+    Attributes:
+        offset: linear light by which all pixels of a colour may be off alike, whatever the noise.
+    """
+
+    offset: float = 0.0
 
     @property
     def name(self) -> str:

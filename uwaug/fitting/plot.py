@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _INK, _GREY = "#1a1a1a", "#5a5a5a"
+_LEFT_OUT = 1.0  # value of pixels that the fit has left out: white
 _RGB = ("#c0392b", "#2e8b57", "#2a5caa")
 _WIDTH_IN, _ROW_IN = 14.0, 4.0  # inches: width of the figure, height of a row
 _LINE_LETTERS, _LINE_IN = 150, 0.22  # letters in a line of text, and its height in inches
@@ -49,12 +50,14 @@ def plot(fit: Fit) -> "Figure":
     if "residual" in cells:
         _draw_residuals(cells["residual"], fit)
     if fit.pictures is not None and has_pair:
-        pair = fit.pictures.observed[0], fit.rendered()[0]
-        for name, light in zip(("observed", "fitted"), pair, strict=True):
-            picture = linear_to_srgb(light.clamp(0, 1)).permute(1, 2, 0).numpy()
-            cells[name].imshow(picture)
-            cells[name].set(xticks=[], yticks=[])
-            cells[name].set_title(name.capitalize(), loc="left", fontsize=12)
+        usable = fit.pictures.usable[0]
+        fitted = fit.rendered()[0].where(usable, _LEFT_OUT)
+        titles = "Observed", "Fitted" if usable.all() else "Fitted; left-out pixels are white"
+        for title, light in zip(titles, (fit.pictures.observed[0], fitted), strict=True):
+            axis = cells[title.partition(";")[0].lower()]
+            axis.imshow(linear_to_srgb(light.clamp(0, 1)).permute(1, 2, 0).numpy())
+            axis.set(xticks=[], yticks=[])
+            axis.set_title(title, loc="left", fontsize=12)
     z = torch.linspace(0, 1.25 * fit.geometry.farthest, 161, dtype=torch.float64)
     for name, label in _CURVES.items():
         curve = getattr(fit.medium, name)(z)[0].numpy()

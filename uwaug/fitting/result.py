@@ -116,7 +116,7 @@ class Fit:
     `uwaug.fitting.fit_veil`; or read by `load_fit`.
 
     Attributes:
-        model: a model of `uwaug.fit`, a Jerlov type, or "darkest pixels".
+        model: a model of `uwaug.fit`, a Jerlov type or "no Jerlov type", or "darkest pixels".
         parameters: each number by name: value, standard error, 95 % interval, unit, state.
         covariance: covariance of all `parameters`, in their order; of no use where one is not
             identified.
@@ -127,6 +127,8 @@ class Fit:
         notes: sentences on the result, and on what the pictures cannot tell.
         candidates: the models or types that were tried.
         remainder: residuals by distance.
+        adequate: True if the residuals are noise; False if the model misses something; None by
+            `fit_veil`.
         water: spectra with the fitted contents, for `uwaug.RandomUnderwater`; by `fit_water` alone.
         color_space: colour space of the pictures, and of those that `module` takes.
         pictures: the fitted pictures; None if the fit was read from a file.
@@ -141,6 +143,7 @@ class Fit:
     notes: tuple[str, ...]
     candidates: tuple[Candidate, ...] = ()
     remainder: tuple[Remainder, ...] = ()
+    adequate: bool | None = None
     water: Water | None = None
     color_space: ColorSpace = "srgb"
     pictures: Pictures | None = field(default=None, metadata={"stored": False})
@@ -243,8 +246,11 @@ class Fit:
         meaning = _MEANINGS.get(kind, "")
         if kind == "width":
             meaning = f"σ at {self.geometry.reference:.3g} m"
+        if kind in ("beta", "G"):
+            near, far = self.geometry.nearest, self.geometry.farthest
+            meaning = f"one rate for {near:.3g} to {far:.3g} m"
         if kind == "beta" and self.model in ("haze", "veil"):
-            meaning = "of direct and forward light together"
+            meaning += ", of direct and forward light together"
         unit = number.unit if number.unit != "1" or not meaning else ""
         state = f"({number.state})" if number.state in ("at bound", "fixed") else ""
         return "  ".join(filter(None, (unit, meaning, state)))

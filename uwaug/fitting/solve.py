@@ -30,7 +30,7 @@ _MAD = 1.4826  # standard deviations in a median absolute deviation of Gaussian 
 _CLIP_MARGIN = 3.0  # standard deviations of noise between a value and black or white
 _MAX_CLIP_MARGIN = 0.1  # linear light; with more, a very noisy picture would have no pixels
 _OUTLIER = 6.0  # standard deviations of noise, from where on a residual does not count at all
-_MIN_VALUES = 500  # values between noise and white that a fit needs
+_MIN_VALUES = 100  # values between noise and white that a fit needs
 _NOISE_ROUNDS = 2  # a third changes no number by a tenth of its error
 
 

@@ -88,7 +88,7 @@ def fit_veil(
         `medium.backscatter` still is, as far as the picture reaches.
 
     Raises:
-        TypeError, ValueError: if an input does not suit; if fewer than 500 pixels can be used,
+        TypeError, ValueError: if an input does not suit; if fewer than 50 pixels can be used,
             fewer than three steps hold enough of them, the distances are all alike, or the picture
             is of one colour.
 
@@ -115,6 +115,9 @@ def fit_veil(
     if (dark.z >= FARTHEST).mean() > 0.01:
         farthest = np.inf
     theta, rows, full_grown, covariance = np.zeros((3, 2)), {}, [], np.zeros((9, 9))
+    # names of numbers that black surfaces, or more pixels, would tell
+    if_black: list[str] = []
+    if_more: list[str] = []
     # a medium that is made in inference mode could not be trained
     with one_thread(), torch.inference_mode(False), torch.no_grad():
         for c, colour in enumerate(COLOURS):
@@ -123,7 +126,8 @@ def fit_veil(
             values = _quantities(theta[c])
             bias = _quantities(_fit(dark, c, reference, floor=darkest)) - values
             # the errors of pixels, and the change by surfaces that are not black
-            spread = slopes @ _covariance(dark, c, theta[c]) @ slopes.T + np.outer(bias, bias)
+            of_pixels = slopes @ _covariance(dark, c, theta[c]) @ slopes.T
+            spread = of_pixels + np.outer(bias, bias)
             places = [c, 3 + c, 6 + c]
             covariance[np.ix_(places, places)] = spread
             if G * nearest > _FULL_GROWN:  # its end alone shows, if it is that of the water
@@ -132,10 +136,14 @@ def fit_veil(
             else:  # of a straight line its growth alone
                 is_bent = bool(G * farthest >= THIN_OPTICAL_DEPTH)
                 shows = {"veil": is_bent, "G": is_bent, "source": True}
-            errors = np.sqrt(np.diag(spread)).tolist()
-            for kind, value, error in zip(_KINDS, values.tolist(), errors, strict=True):
+            errors = [np.sqrt(np.diag(matrix)).tolist() for matrix in (spread, of_pixels)]
+            for kind, value, error, least in zip(_KINDS, values.tolist(), *errors, strict=True):
                 quantity = Quantity(f"{kind}_{colour}", _KINDS[kind], _RESOLUTION, "")
-                rows[quantity.name] = parameter(quantity, value, error, shows=shows[kind])
+                number = parameter(quantity, value, error, shows=shows[kind])
+                if number.value is None and shows[kind]:
+                    is_told = parameter(quantity, value, least).value is not None
+                    (if_black if is_told else if_more).append(quantity.name)
+                rows[quantity.name] = number
     numbers = {f"{kind}_{c}": rows[f"{kind}_{c}"] for kind in _KINDS for c in COLOURS}
     source, G = theta.T
     residual = dark.light - np.stack([_veil(s, rate, dark.z) for s, rate in theta], 1)
@@ -146,9 +154,17 @@ def fit_veil(
     if full_grown:
         notes.append(
             f"In {', '.join(full_grown)} what is darkest is as light at {nearest:.3g} m as farther "
-            "away: the water is very turbid, or nothing in view is black and V(0) is too high."
+            "away: the water is very turbid, or nothing in view is black and V(0) is too high. "
+            f"Something black nearer than {nearest:.3g} m would tell."
         )
-    notes += straight_line(dict(zip(COLOURS, G.tolist(), strict=True)), farthest)
+    if straight := straight_line(dict(zip(COLOURS, G.tolist(), strict=True)), farthest):
+        notes += [f"{straight[0]} Open water in view (distance inf) would tell its end."]
+    if if_black:
+        cure = "Something black at each distance, such as deep shadow, and darkest=0 (--darkest 0)"
+        notes.append(f"{cure} would tell {', '.join(if_black)}.")
+    if if_more:
+        cure = "Dark surfaces nearer and farther, or more pictures of this water,"
+        notes.append(f"{cure} would tell {', '.join(if_more)}.")
     return Fit(
         model="darkest pixels",
         parameters=numbers,
