@@ -286,6 +286,8 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("degrade photos --distance 3 --preset nothing --out wet", "nothing"),
         ("degrade photos --like nothing.png --out wet", "nothing.png"),
         ("export --out x.onnx", "--preset"),
+        ("export survey --preset survey --out x.onnx", "give one preset"),
+        ("export nothing --out x.onnx", "nothing"),
         ("export --preset survey --out x.bin", ".onnx"),
         ("plot photos/a.png --distance depth/b.png", "metres"),
         ("plot photos/a.png --distance 3 --out a.jpg", "--out must be a folder"),
@@ -419,6 +421,10 @@ def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
     assert "arXiv:2509.15011, table 2" in listed
     waters = run("waters")[1]
     assert all(name in waters for name in uwaug.JERLOV_TYPES)
+    rows = json.loads(run("waters", "--json")[1])
+    assert {*uwaug.JERLOV_TYPES, "harbour"} <= set(rows["waters"])
+    medium = uwaug.load_preset("survey", water="7C").module().medium
+    assert rows["waters"]["7C"]["beta"] == medium.beta.float().tolist()
 
 
 @pytest.mark.parametrize("name", uwaug.list_presets())

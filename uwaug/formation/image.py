@@ -38,8 +38,8 @@ _BAND_PIXELS = 1 << 18
 halves the time at 1024 px; at 512 px it is the same.
 """
 
-Blurs = Callable[[Tensor, BlurPlan], list[Tensor]]
-"""The blurs of a plan, see `uwaug.blur.stack.blurred`."""
+Blur = Callable[[Tensor, Tensor], Tensor]
+"""Varying blur of light (Bx3xHxW) by widths (Bx1xHxW, px)."""
 
 
 def form(
@@ -54,7 +54,7 @@ def form(
     plan: BlurPlan | None = None,
     plans: Sequence[BlurPlan] = (),
     tolerance: float = 0.002,
-    blurs: Blurs = blurred,
+    blur: Blur | None = None,
     normals: Tensor | None = None,
 ) -> Tensor:
     """D + F + B as the camera stores it. Nothing is checked.
@@ -69,7 +69,7 @@ def form(
         plan: plan of the blur; None plans for the distances at hand.
         plans: one plan for each picture, in place of `plan`.
         tolerance: tolerance of a plan for the distances at hand.
-        blurs: function that computes the blurs of the plan.
+        blur: function that blurs by the plan, in place of PyTorch.
         normals (Bx3xHxW): normals of the sensor's noise; None draws them.
     """
     if image.numel() == 0 or z.numel() == 0:
@@ -93,7 +93,7 @@ def form(
             plan = plan_for(
                 z, brightest.brightened(gain.detach()), (z.shape[-2], z.shape[-1]), tolerance
             )
-        soft = blurred_as_seen(J, z, medium, plan, blurs)
+        soft = blurred_as_seen(J, z, medium, plan, blur)
     # after the gain: the camera is metered without snow, which changes nothing else in a picture
     T = snowing(T, medium, light, z, metres)
     largest = headroom(image) if color_space == "srgb" else 1.0
@@ -132,12 +132,15 @@ def _nothing(image: Tensor, z: Tensor) -> Tensor:
 
 
 def blurred_as_seen(
-    J: Tensor, z: Tensor, medium: Medium, plan: BlurPlan, blurs: Blurs = blurred
+    J: Tensor, z: Tensor, medium: Medium, plan: BlurPlan, blur: Blur | None = None
 ) -> Tensor:
     """J (Bx3xHxW) blurred by forward scatter, at each pixel by the width at its distance z."""
     if plan.sigmas == (0.0,) and not medium.requires_grad:
         return J
-    stack, size = blurs(J, plan), (z.shape[-2], z.shape[-1])
+    size = (z.shape[-2], z.shape[-1])
+    if blur is not None:
+        return blur(J, medium.width(z, size))
+    stack = blurred(J, plan)
     if len(stack) == 1:  # the width does nothing: its gradient is 0, not missing
         return stack[0] + 0 * medium.width(z, size) if medium.requires_grad else stack[0]
 

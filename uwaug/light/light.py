@@ -229,7 +229,7 @@ class Light:
             weights.append(lamp.dyed(water.signal_weights.flatten(2)))
         # one product for all lamps, which writes up to nine numbers a pixel once
         shape = water.signal_weights.shape[1:-1]
-        rows = torch.cat([part.reshape(len(part), shape.numel(), -1) for part in weights], 2)
+        rows = torch.cat([part.reshape(part.shape[0], shape.numel(), -1) for part in weights], 2)
         arrives = torch.unflatten(rows @ torch.cat(decayed, 1), -1, z.shape[-2:])
         return torch.unflatten(arrives, 1, shape)
 
