@@ -4,7 +4,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from uwaug._support.atomic import written_whole
 from uwaug.files.items import Item
@@ -103,7 +103,8 @@ class Summary:
 
     def write_index(self, path: Path) -> None:
         """Write a line for each picture."""
-        with written_whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        how: Any = {"encoding": "utf-8", "errors": "backslashreplace", "newline": ""}
+        with written_whole(path) as part, part.open("w", **how) as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(COLUMNS)
             for result in self.results:

@@ -87,8 +87,9 @@ def degrade(
     )
     if labels is not None:
         results = [result for result in summary.results if result.status != "failed"]
-        notes = [_labels_note(labels, items), *labels.finish(results, out)]
-        summary = replace(summary, notes=notes)
+        # without results, those of an earlier run keep their lists
+        notes = labels.finish(results, out, force=force) if results else []
+        summary = replace(summary, notes=[_labels_note(labels, items), *notes])
     return summary
 
 
@@ -187,8 +188,6 @@ class _Underwater(Work):
         objects = []
         if labels is not None:
             objects = judged(labels, item.name, contrast, self.recipe.min_contrast)
-            dropped = {label.key for label in objects if not label.kept}
-            labels.write(item.name, job.place, dropped, self.out)
         return degraded, {
             "params": params,
             "contrast": round(float(contrast.double().mean()), 4),
