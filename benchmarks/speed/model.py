@@ -30,6 +30,7 @@ from benchmarks.harness import (
     use_threads,
     water_medium,
 )
+from benchmarks.speed.panels import exported
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import varying_blur
 from uwaug.optics.spectra import WAVELENGTHS
@@ -130,6 +131,24 @@ def _learning(image: Tensor, distance: Tensor) -> dict[str, Callable[[], object]
         learned(picture, z).sum().backward()
 
     return {"forward": forward, "both": both}
+
+
+def file_against_loops(rounds: int = 15) -> dict[str, Any]:
+    """An ONNX file of one water and size beside the module by the compiled loops: sRGB, metered,
+    512², one thread.
+    """
+    use_threads(1)
+    metered = uwaug.Development(metered=True)
+    medium = uwaug.Medium.from_water("7C")
+    module = uwaug.Underwater(medium, (0.5, 10.0), sides=(512, 512), development=metered)
+    image, distance = scene(512)
+    run = exported(module, 1)
+    with torch.no_grad():
+        runners = {"loops": partial(by_loops(module), image, distance)}
+        times = race({**runners, "file": partial(run, image, distance)}, rounds)
+    ratio = times["file"]["median_ms"] / times["loops"]["median_ms"]
+    print(f"ONNX file / loops: {ratio:.2f}", flush=True)
+    return {"ms": times, "file / loops": ratio}
 
 
 def memory() -> float:
@@ -233,6 +252,7 @@ def main(quick: bool = False) -> None:
         "curves": curve_accuracy(),
     }
     if not quick:
+        results["onnx"] = file_against_loops()  # to export takes a minute
         print(save("model", results))
 
 

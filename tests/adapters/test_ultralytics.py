@@ -1,5 +1,6 @@
 """Epochs of a small YOLO. The package is no test extra: it brings 390 MB and a second OpenCV."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
+import uwaug
 from uwaug import RandomDevelopment, RandomUnderwater, RandomWater
 
 pytest.importorskip("albumentations")
@@ -85,3 +87,22 @@ def test_epochs_of_yolo(data: Path, torchvision: Any, monkeypatch: pytest.Monkey
             if wet[-1]:
                 assert torch.equal(picture, augment(dry, None)[0])
     assert 0 < sum(wet) < len(wet) == 12
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_script_of_the_guide(
+    data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("YOLO_CONFIG_DIR", str(data.parent))
+    monkeypatch.setenv("YOLO_OFFLINE", "true")
+    monkeypatch.chdir(data.parent)
+    pytest.importorskip("ultralytics", reason="not installed: 390 MB; run by hand")
+    guide = Path(uwaug.__file__).parent / "DOES-IT-HELP.md"
+    (script,) = re.findall(r"```py\n(.*?)```", guide.read_text(encoding="utf-8"), re.DOTALL)
+    small = '{"data": "data.yaml", "epochs": 1, "imgsz": 64, "workers": 0, "device": "cpu"}'
+    settings = f'MODEL, TRAINING = "yolo26n.yaml", {small}\nAIR = REAL = "images"\n'
+    script, count = re.subn(r"MODEL, TRAINING = .*\nAIR, REAL = .*\n", settings, script)
+    assert count == 1
+    exec(compile(script, str(guide), "exec"), {"__name__": "__main__"})
+    rows = re.findall(r"^\| (.*?) \| \d\.\d\d \| \d\.\d\d \| ", capsys.readouterr().out, re.M)
+    assert rows == ["in air", *(f"severity {n}" for n in range(1, 6)), "real"]

@@ -1,5 +1,6 @@
 import csv
 import json
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ from PIL import ExifTags, Image
 
 import uwaug
 from uwaug.distance import MadeUp, Metres, Plane, Relative
+from uwaug.transforms.random_underwater import SEVERITIES
 
 
 @pytest.fixture
@@ -40,6 +42,26 @@ def test_the_example_of_degrade_runs_on_a_depth_cameras_maps(folder, run):
     }
     with open("wet/index.csv", newline="") as file:
         assert [row["status"] for row in csv.DictReader(file)] == ["written", "written"]
+
+
+def test_grades_and_maps(folder, run):
+    line = ("degrade", "photos", *MAPS, "--out")
+    code, out, err = run(*line, "graded", "--severity", "all")
+    assert (code, err) == (0, "")
+    for level, contrast in SEVERITIES.items():
+        assert f"2 of 2 pictures written to {Path('graded', str(level))}" in out
+        record = json.loads(Path(f"graded/{level}/a.png.json").read_text())
+        assert record["params"]["samples"][0]["water"]["contrast"] == contrast
+        assert record["truth"] is None
+    code, out, err = run(*line, "pairs", "--severity", "3", "--maps", "npy")
+    assert (code, err) == (0, "")
+    assert written(folder / "pairs") == written(folder / "graded" / "3")
+    truth = json.loads(Path("pairs/a.png.json").read_text())["truth"]
+    signal, veil, z = (np.load(f"pairs/maps/a_{name}.npy") for name in ("signal", "veil", "z"))
+    assert (signal.shape, z.shape) == ((24, 32, 3), (24, 32))
+    light = (signal + veil) @ np.array(truth["gain"]).T
+    assert np.isfinite(light).all()
+    assert {*truth["coefficients"]} == {"beta_d", "beta_b", "b_inf", "ambient", "rmse"}
 
 
 def written(folder):
@@ -122,13 +144,27 @@ def test_pictures_like_a_photograph(folder, run, monkeypatch):
     Image.fromarray(murky).save(folder / "green.png")
     line = ("degrade", "photos", *MAPS, "--like", "green.png", "--contrast", ".2:.5", "--out")
     code, out, err = run(*line, "wet")
-    assert (code, err) == (0, "")
-    assert "like green.png: the pictures that were kept are" in out
+    assert (code, err) == (0, "looking for waters like the photographs\n")
+    assert re.search("like green.png: (near|fair|far from anything that water can do): ", out)
     assert "2 of 2 pictures written to wet" in out
     recipe = json.loads((folder / "wet/a.png.json").read_text())["recipe"]
     transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
     assert isinstance(transform, uwaug.transforms.UnderwaterLike)
     assert all(0.2 <= one["water"]["contrast"] <= 0.5 for one in transform.kept)
+    # a folder, and more of them; the real ones stand on the sheet
+    (folder / "dives/more").mkdir(parents=True)
+    for name in ("dives/a.png", "dives/more/b.png"):
+        Image.fromarray(murky).save(folder / name)
+    code, out, _ = run(*line, "both", "--like", "dives", "--sheet")
+    assert "like 3 photographs: " in out
+    recipe = json.loads((folder / "both/a.png.json").read_text())["recipe"]
+    assert len(recipe["transform"]["kept"]) == 6
+    with Image.open(folder / "both/sheet.jpg") as sheet:
+        assert sheet.size == (3 * 496, 2 * 244)  # two pairs, and two pairs of real ones
+        shown = np.asarray(sheet, float)
+    for y, x in ((0, 992), (0, 992 + 240), (244, 0)):
+        corner = shown[y : y + 24, x : x + 32].mean((0, 1))
+        assert abs(corner - murky.mean((0, 1))).max() < 8
     # the same draws are kept again, and a record makes the same picture
     assert "2 were there" in run(*line, "wet", "--resume")[1]
     assert run("degrade", "wet/b.png.json", "--out", "b.png")[0] == 0
@@ -233,6 +269,8 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("degrade photos --min-contrast 2 --out wet", "Error: --min-contrast must be in [0, 1]"),
         ("degrade photos --min-contrast .1 --out wet", "is of labels, of which none are given"),
         ("degrade photos --set drift=.1 --out wet", "is of films, whose frames --sequence makes"),
+        ("degrade photos --set motion=1px --out wet", "--set motion is of films"),
+        ("degrade photos --sequence --set motion=fast --out wet", "motion must be three numbers"),
         ("page --distance nowhere.npy --unit mm --out page.html", "of a picture: give --image"),
         (
             "fit --clean a.png --observed b.png --distance z.npy --out f.json --model waters "
@@ -268,7 +306,12 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("degrade photos --distance 3 --water 4C --out wet", "water must be one of"),
         ("degrade photos --distance 3 --preset nothing --out wet", "nothing"),
         ("degrade photos --like nothing.png --out wet", "nothing.png"),
+        ("degrade photos --severity 6 --out wet", "1 (mild) to 5 (severe), or all, got '6'"),
+        ("degrade photos --severity 2 --contrast .5 --out wet", "--severity is a contrast"),
+        ("degrade photos --maps png --out wet", "maps must be"),
         ("export --out x.onnx", "--preset"),
+        ("export survey --preset survey --out x.onnx", "give one preset"),
+        ("export nothing --out x.onnx", "nothing"),
         ("export --preset survey --out x.bin", ".onnx"),
         ("plot photos/a.png --distance depth/b.png", "metres"),
         ("plot photos/a.png --distance 3 --out a.jpg", "--out must be a folder"),
@@ -317,7 +360,7 @@ def test_plot_and_compare_draw_a_picture_of_ones_own(folder, run):
     code, out, err = run("plot", *scene, "--water", "3C")
     assert (code, err) == (0, "")
     assert "unknown" in out  # what was done to holes
-    systems = ("--system", "akkaynak-2018", "--system", "li-2020")
+    systems = ("--system", "akkaynak-2018", "--system", "UWCNN", "--stretch", ".2")
     assert run("compare", *scene, *systems, "--out", "systems.jpg")[0] == 0
     assert (folder / "systems.jpg").stat().st_size > 0
 
@@ -402,6 +445,10 @@ def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
     assert "arXiv:2509.15011, table 2" in listed
     waters = run("waters")[1]
     assert all(name in waters for name in uwaug.JERLOV_TYPES)
+    rows = json.loads(run("waters", "--json")[1])
+    assert {*uwaug.JERLOV_TYPES, "harbour"} <= set(rows["waters"])
+    medium = uwaug.load_preset("survey", water="7C").module().medium
+    assert rows["waters"]["7C"]["beta"] == medium.beta.float().tolist()
 
 
 @pytest.mark.parametrize("name", uwaug.list_presets())

@@ -63,15 +63,26 @@ def test_systems_are_compared_in_one_water(small, monkeypatch):
     figures = []
 
     def draw():
-        figures.append(comparison.draw_comparison(small, "7C", systems))
+        figures.append(comparison.draw_comparison(small, "7C", systems, stretch=0.2))
         return figures[0]
 
-    assert require_room(draw, monkeypatch) >= 4
-    assert "in brackets the means of red, green and blue, 0…1" in figures[0].texts[1].get_text()
-    axes = figures[0].axes
-    assert [axis.get_title("left").split("  ")[0] for axis in axes[:3]] == ["no water", *systems]
-    wanted = published.akkaynak_2018(small.image, small.distance, "7C").permute(1, 2, 0)
-    assert np.abs(axes[1].images[0].get_array() - wanted.numpy()).max() < 1e-5
+    assert require_room(draw, monkeypatch) >= 5
+    caption = figures[0].texts[1].get_text()
+    assert "in brackets the means of red, green and blue, 0…1" in caption
+    assert "uwaug: scene 5 m deep" in caption
+    assert "Distances times 0.2." in caption
+    axes, z = figures[0].axes, 0.2 * small.distance
+    titles = ["no water", "uwaug", *systems]
+    assert [axis.get_title("left").split("  ")[0] for axis in axes[:4]] == titles
+    own = demo.in_waters([Water.jerlov("7C")], small)(small.image, z)
+    theirs = published.akkaynak_2018(small.image, z, "7C")
+    for axis, wanted in ((axes[1], own), (axes[2], theirs)):
+        assert np.abs(axis.images[0].get_array() - wanted.permute(1, 2, 0).numpy()).max() < 1e-5
+
+
+def test_a_stretch_that_is_no_factor_is_refused(small):
+    with pytest.raises(ValueError, match="stretch must be finite and > 0, got 0"):
+        comparison.draw_comparison(small, "7C", stretch=0)
 
 
 @pytest.mark.parametrize("shape", [(20, 30), (30, 20), (6, 60)])

@@ -106,12 +106,16 @@ def test_bytes_depend_on_neither_workers_nor_order_nor_threads() -> None:
     assert len({one[f"{number}.png"] for number in range(4)}) == 4
 
 
-def test_frames_of_a_folder_share_a_draw() -> None:
+# frames are 3 m away, and have a focal length of .866 of their width
+@pytest.mark.parametrize(
+    "motion, step", [((0.02, 0.0, -0.1), (0.02, 0.0, -0.1)), ("12px", (36 / 0.866 / W, 0.0, 0.0))]
+)
+def test_frames_of_a_folder_share_a_draw(motion, step) -> None:
     for folder in ("one", "other"):
         for number in range(3):
-            save(f"films/{folder}/{number}.png", pixels(seed=number))
+            save(f"films/{folder}/{number}.png", pixels(H, W, seed=number))
     augment = RandomUnderwater(distance=3.0, development=RandomDevelopment(noise=Sensor(2000)))
-    recipe = Recipe(augment, sequence=True, variants=2)
+    recipe = Recipe(augment, sequence=True, variants=2, motion=motion)
     items = find_items("films")
     assert degrade(recipe, items, "wet").failures == []
     assert degrade(recipe, items[::-1], "again", workers=2).failures == []
@@ -124,6 +128,7 @@ def test_frames_of_a_folder_share_a_draw() -> None:
         moved = sample.pop("moved")
         frame = int(Path(record["name"]).stem)
         assert moved == pytest.approx(0.004 * frame)
+        assert sample.pop("motion") == pytest.approx([frame * way for way in step])
         # the noise of a sensor is that of a frame
         noise = sample["development"]["noise"]
         noise["seed"] = (noise["seed"] - frame) % 2**32
@@ -154,7 +159,7 @@ def test_a_film_is_settled_on_a_frame_that_serves() -> None:
         record = read_record(path)
         (sample,) = record["params"]["samples"]
         clips.append(sample.pop("measured"))
-    del sample["moved"]
+    del sample["moved"], sample["motion"]
     z = torch.from_numpy(metres(H, W))[None]
     settled = recipe.transform.for_clip({"samples": [sample]}, read_picture("fade/film/7.png"), z)
     assert clips == [json.loads(json.dumps(settled["samples"][0]["measured"]))] * 6

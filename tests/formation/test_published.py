@@ -16,7 +16,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from uwaug import Camera, Medium, PointSpread, Water, form_image, load_camera
+from uwaug import Camera, Medium, PointSpread, Water, form_image, load_camera, load_preset
 
 CASES = ("survey_II", "survey_3C", "survey_9C", "reference_1C", "rgbcoeff_II")
 SPECTRAL = CASES[:4]
@@ -103,6 +103,22 @@ def test_veil_and_coefficients_from_water(name: str, tolerance: float) -> None:
     bound = max(1e-5, tolerance)
     torch.testing.assert_close(veil, case.backscatter, rtol=0, atol=bound)
     torch.testing.assert_close(ours, theirs, rtol=0, atol=bound)
+
+
+NEAR = {"survey_II": 0.0201, "survey_3C": 0.0176, "survey_9C": 0.0047, "reference_1C": 0.015}
+"""RMS of presets against the authors' terms, which configs/README.md rounds."""
+
+
+@pytest.mark.parametrize("name", NEAR)
+def test_presets_are_as_near_as_their_guide_says(name: str) -> None:
+    case, water = load(name), name.rpartition("_")[2]
+    medium = load_preset("survey", water=water).module().medium
+    if name == "reference_1C":
+        medium = Medium.from_water(water, vertical_depth=1.0, g=1.0, mu=1.0)
+    lit = medium.signal(case.distance * case.field)[0] * case.image
+    error = lit - case.direct - case.forward
+    error = error + medium.backscatter(case.veil_distance)[0] - case.backscatter
+    assert 0.9 * NEAR[name] < error.square().mean().sqrt() < NEAR[name]
 
 
 def test_the_field_is_told_apart() -> None:

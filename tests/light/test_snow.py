@@ -2,6 +2,7 @@
 
 import json
 import math
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +33,7 @@ BETA, G, AMBIENT = (0.5, 0.3, 0.2), (0.3, 0.2, 0.1), (0.4, 0.6, 0.8)
 WATER = Medium.from_coefficients(BETA, G, (0.1, 0.2, 0.3), light=AMBIENT)
 SPECTRAL = Medium.from_water("II", surfaces="spectral", vertical_depth=5.0)
 LAMPS = Light((Lamp((0.4, -0.3, 0.0), 3.0, (-0.1, 0.1, 1.0), cone=60.0),), daylight=0.3)
-SNOW = MarineSnow(3000, seed=5)
+SNOW = MarineSnow(3000, seed=7)
 SIZE = (96, 128)
 
 
@@ -146,11 +147,12 @@ def test_the_scene_hides_what_is_behind_it() -> None:
     assert 0.1 < some < 0.95
 
 
-def test_number_and_sizes_are_those_of_the_water() -> None:
+@pytest.mark.parametrize("drift", [(0.0, 0.0, 0.0), (-2.3, 0.7, 31.1)])
+def test_number_and_sizes_are_those_of_the_water(drift) -> None:
     near, at_2_mm, volume = 0.45, 0, 0.0
     count = 0
     for seed in range(30):
-        drawn = replace(SNOW, density=20_000, seed=seed).particles(0.6, 0.4)
+        drawn = replace(SNOW, density=20_000, seed=seed, drift=drift).particles(0.6, 0.4)
         inside = (np.abs(drawn.x) < 0.6) & (np.abs(drawn.y) < 0.4)
         inside &= (drawn.z > 0.2) & (drawn.z < near)
         count += int((inside & (drawn.diameter > COUNTED)).sum())
@@ -215,24 +217,44 @@ def test_the_rest_of_a_picture_stays() -> None:
     assert changed.max() > 0.05
 
 
-def test_it_drifts(single) -> None:
+@pytest.mark.parametrize("drift", [(0.05, 0.0, 0.0), (-0.03, 0.02, 0.0), (0.01, 0.0, -0.04)])
+def test_each_particle_keeps_its_place_in_the_water(drift) -> None:
     focal = SIZE[1] / 2 / math.tan(math.radians(30))
-    columns = torch.arange(SIZE[1]).double()
-    still = SNOW.particles(0.6, 0.4)
-    moved = replace(SNOW, drift=0.05).particles(0.6, 0.4)
-    # near ones faster, to the right
-    by_z = dict(zip(still.z.tolist(), still.x.tolist(), strict=True))
-    steps = [
-        (x - by_z[z]) * z
-        for x, z in zip(moved.x.tolist(), moved.z.tolist(), strict=True)
-        if z in by_z
-    ]
-    assert np.mean(np.abs(np.array(steps) - 0.05) < 1e-9) > 0.8
+    still, moved = (replace(SNOW, drift=way).particles(0.6, 0.4) for way in ((0, 0, 0), drift))
+    # a diameter is a particle's own
+    _, before, after = np.intersect1d(still.diameter, moved.diameter, return_indices=True)
+    assert 0.6 * len(still.z) < len(before) < len(still.z)
     assert abs(len(moved.z) - len(still.z)) < 0.05 * len(still.z)
-    assert np.abs(moved.x).max() <= 1.1 * 0.6
-    single(0.05, 0.0, 1.0, 2e-3)
-    middle = (layer(SNOW, far())[1].sum(0) * columns).sum() / layer(SNOW, far())[1].sum()
-    assert abs(float(middle) - (63.5 + 0.05 * focal)) < 0.05
+    z, steps = still.z[before], np.zeros((3, len(before)))
+    for axis, name in enumerate("xy"):
+        x, y = getattr(still, name)[before], getattr(moved, name)[after]
+        steps[axis] = y * moved.z[after] - x * z
+        if not drift[2]:  # near ones more: by f·t/z px
+            px = focal * (y - x)
+            assert np.mean(np.abs(px - focal * drift[axis] / z) < 1e-6) > 0.97
+    steps[2] = moved.z[after] - z
+    assert np.mean(np.abs(steps.T - drift).max(1) < 1e-9) > 0.97  # others come anew
+
+
+def test_the_water_ends_nowhere() -> None:
+    """However far a camera moves, there are as many particles, and as evenly spread."""
+    counts, edges = [], []
+    for way in np.linspace(0, 3, 13):
+        drawn = replace(SNOW, drift=(way, -2 * way, -5 * way)).particles(0.6, 0.4)
+        counts.append(len(drawn.z))
+        edges.append(np.abs(np.array([drawn.x / 0.6, drawn.y / 0.4])).mean(1))
+    assert np.ptp(counts) < 0.15 * np.mean(counts)
+    np.testing.assert_allclose(np.mean(edges, 0), [0.55, 0.575], atol=0.02)
+
+
+@pytest.mark.parametrize("view", [(0.577, 144.0), (0.577, 0.003), (11.4, 8.6), (0.01, 0.01)])
+def test_memory_goes_with_what_is_seen(view) -> None:
+    tracemalloc.start()
+    drawn = MarineSnow(1e5, seed=0).particles(*view)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(drawn.z) > 100
+    assert peak < 250e6
 
 
 def test_gradients_pass() -> None:
@@ -277,30 +299,35 @@ def test_drawn_anew_for_each_picture_and_moved_in_a_film(waters) -> None:
     options = {"water": {"snow": {"density": [500, 2000], "aperture": 0.002}}}
     assert RandomUnderwater.from_dict(options).water.snow == snow
     image, z = picture(*SIZE), far().float()
-    record = augment.make_params(image, torch.Generator().manual_seed(3))
+    record = augment.make_params(image, torch.Generator().manual_seed(5))
     drawn = record["samples"][0]["water"]["snow"]
     assert drawn.keys() == {"density", "seed"}
     assert 500 <= drawn["density"] <= 2000
     film = augment.for_clip(record, image[0], z[0])
     still = augment.transform(image[0], z[0], film)
-    film["samples"][0]["moved"] = 0.1
-    moved = augment.transform(image[0], z[0], film)
-    assert (still - moved).abs().max() > 0.02
-    assert ((still - moved).abs() < 1e-3).float().mean() > 0.3
+    for way in ({"moved": 0.1}, {"motion": [0.0, 0.05, 0.02]}):
+        film["samples"][0] |= way
+        moved = augment.transform(image[0], z[0], film)
+        assert (still - moved).abs().max() > 0.02
+        assert ((still - moved).abs() < 1e-3).float().mean() > 0.3
+        still = moved
 
 
 def test_a_seed_is_kept_and_a_film_adds_to_its_drift() -> None:
-    """By as much as distances are scaled."""
-    augment = RandomUnderwater(RandomWater(["II", WATER], snow=replace(SNOW, drift=0.25)))
+    """By as much as distances are scaled, and less the way of the camera."""
+    snow = replace(SNOW, drift=(0.25, 0.0, 0.0))
+    augment = RandomUnderwater(RandomWater(["II", WATER], snow=snow))
     image, z = picture(*SIZE)[0], far().float()[0]
     drawn = augment.make_params(image, torch.Generator().manual_seed(0))["samples"][0]
     for name in ("II", "medium 1"):
         sample = {**drawn, "water": {**drawn["water"], "waters": [name]}, "moved": 0.5}
+        sample["motion"] = [0.1, 0.2, 0.3]
         (setting,) = augment.scenes(image, z, {"samples": [sample]}).settings
         assert (setting.scale == 1) == (name != "II")
         (snow,) = setting.medium.snow
         assert replace(snow, drift=SNOW.drift) == SNOW
-        assert snow.drift == pytest.approx(0.25 + 0.5 * setting.scale)
+        ways = np.array([0.4, -0.2, -0.3]) * setting.scale
+        assert snow.drift == pytest.approx(ways + np.array([0.25, 0, 0]))
 
 
 @pytest.mark.parametrize(
@@ -309,6 +336,7 @@ def test_a_seed_is_kept_and_a_film_adds_to_its_drift() -> None:
         (lambda: MarineSnow(0.0), "snow: density"),
         (lambda: MarineSnow(reflectance=1.5), "snow: reflectance must be"),
         (lambda: MarineSnow(focus=0.0), "snow: focus must be finite and > 0"),
+        (lambda: MarineSnow(drift=0.1), "snow: drift must be three numbers"),
         (lambda: MarineSnow((5000, 500)), "density must be a number or a range"),
         (lambda: WATER.with_snow(MarineSnow((500, 5000))), "snow: density"),
         (lambda: RandomWater(snow=2000.0), r"snow must be a uwaug\.MarineSnow"),

@@ -13,7 +13,7 @@ from referees.systems import LINEAR, SPECTRAL, Scene
 import uwaug
 from uwaug import JERLOV_TYPES, Medium, Underwater, Water, published
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
-from uwaug.published.equation import BandedWater
+from uwaug.published.equation import OTHER_NAMES, BandedWater
 from uwaug.published.models import SLURPP, UWCNN
 
 CHANNELS = {"hou-2020", "li-2020", "slurpp-2025"}
@@ -39,6 +39,12 @@ def test_oldest_first_each_public_with_its_source_and_what_is_ours():
         assert "Source: " in text
         assert "Ours: " in text
         assert re.search(r"doi:10\.|arXiv:|CVPR", text)
+
+
+@pytest.mark.parametrize(("name", "own"), OTHER_NAMES.items())
+def test_other_names_find_the_same_system(name, own):
+    for spelt in (name, name.lower()):
+        assert published.system(spelt) is published.system(own)
 
 
 def plane(depth: float, size: tuple[int, int]) -> torch.Tensor:
@@ -228,6 +234,7 @@ def test_draws_are_of_each_picture_within_the_range_and_repeat(name):
         (lambda: published.hou_2020(IMAGE, Z[:, 1:]), "height and width must agree"),
         (lambda: published.hou_2020(IMAGE[:1], Z), "(3, H, W)"),
         (lambda: published.augment("nobody-1999"), "system must be one of"),
+        (lambda: published.system("UWCN"), "UWCNN, RUIG, RSUIGM, STSR, SLURPP, got 'UWCN'"),
     ],
 )
 def test_what_is_refused(call, message):

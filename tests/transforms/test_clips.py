@@ -9,6 +9,7 @@ import torch
 from uwaug import RandomDevelopment, RandomUnderwater, Sensor
 from uwaug.distance import MadeUp
 from uwaug.formation.field import random_fields
+from uwaug.optics.point_spread import FOCAL_LENGTH
 from uwaug.presets.scene import motorcycle
 
 STEP = 20
@@ -27,12 +28,12 @@ def frames():
     return pan, dolly
 
 
-def clip(augment, frames, seed, drift=0.0):
+def clip(augment, frames, seed, drift=0.0, motion=(0.0, 0.0, 0.0)):
     generator = torch.Generator().manual_seed(seed)
     params = augment.make_params(frames[0][0], generator)
     record = json.loads(json.dumps(augment.for_clip(params, *frames[0])))
     for t, frame in enumerate(frames):
-        record["samples"][0]["moved"] = drift * t
+        record["samples"][0] |= {"moved": drift * t, "motion": [step * t for step in motion]}
         yield augment.transform(*frame, record).float()
 
 
@@ -50,6 +51,20 @@ def test_what_two_frames_share_changes_by_two_levels_at_most(frames, drift):
             changes = (one - other).abs().amax(0).flatten()
             assert changes.quantile(0.5) <= 2
             assert changes.quantile(0.99) <= 12
+
+
+def test_a_field_stays_in_the_water_where_a_camera_moves(frames):
+    pan, _ = frames
+    augment = RandomUnderwater(light=None)
+    changes = []
+    for sign in (1, 0, -1):
+        params = augment.make_params(pan[0][0], torch.Generator().manual_seed(2))
+        median = augment.for_clip(params, *pan[0])["samples"][0]["measured"]["median"]
+        step = sign * STEP * median / (FOCAL_LENGTH * WIDTH)
+        panned = list(clip(augment, pan, 2, motion=(step, 0.0, 0.0)))
+        pairs = [(a[..., STEP:-9], b[..., : -STEP - 9]) for a, b in pairwise(panned)]
+        changes.append(sum(float((a - b).abs().mean()) for a, b in pairs))
+    assert 2 * changes[0] < changes[1] < changes[2]
 
 
 def test_the_first_frame_is_that_of_a_still(frames):
@@ -72,8 +87,9 @@ def test_the_first_frame_is_that_of_a_still(frames):
 
 def test_a_field_moves_as_a_whole():
     like = torch.zeros(1)
-    still, moved = random_fields([5, 5], (60, 90), 0.7, 1.3, like, (0.0, 12.0)).split(1)
-    shared = still[..., :-12], moved[..., 12:]
+    ways = [(0.0, 0.0), (12.0, -5.0)]
+    still, moved = random_fields([5, 5], (60, 90), 0.7, 1.3, like, ways).split(1)
+    shared = still[..., 5:, :-12], moved[..., :-5, 12:]
     inside = (shared[1] > 0.7) & (shared[1] < 1.3)
     torch.testing.assert_close(shared[0][inside], shared[1][inside], atol=1e-5, rtol=0)
     assert float((still - moved).abs().max()) > 0.05

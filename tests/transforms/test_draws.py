@@ -134,8 +134,9 @@ def test_what_is_measured_of_a_film_takes_the_place_of_a_frame() -> None:
     own = Measured(64, 0.0, 1.0, 1.0, 4.0, 2.0)
     settled = {"median": 3.0, "exposure": 0.5, "white_balance": [1.0, 2.0, 3.0]}
     balance = {"white_balance": (1.0, 2.0, 3.0)}
-    assert own.of_film(settled, 0.5) == own._replace(**{**settled, **balance}, moved=0.5)
-    assert own.of_film({}, 0.0) == own
+    moved = (0.5, 0.0, -0.25)
+    assert own.of_film(settled, moved) == own._replace(**{**settled, **balance}, moved=moved)
+    assert own.of_film({}, (0.0, 0.0, 0.0)) == own
 
 
 def test_median_and_ends_are_those_of_what_is_not_open_water() -> None:

@@ -17,7 +17,7 @@ from uwaug.distance.doubts import first_maps
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import RandomDevelopment, UnderwaterLike
 from uwaug.transforms.appearance import WATER_FEATURES, water_features
-from uwaug.transforms.like import _with_kept
+from uwaug.transforms.like import Nearness, _with_kept
 
 H, W = 32, 48
 FEW: dict[str, Any] = {"draws": 90, "keep": 3}
@@ -120,6 +120,37 @@ def test_each_of_several_photographs_is_kept_for() -> None:
     names = [one["water"]["waters"][0] for one in found.kept]
     assert set(names[:3]) == {"9C"}
     assert "II" in names[3:]
+
+
+def test_draws_spread_over_all_photographs_and_serve_each_other() -> None:
+    blue, red = in_water("II", 0.3), torch.tensor([1.0, 0, 0])[:, None, None].expand(3, H, W)
+    augment = RandomUnderwater(RandomWater(["II", "9C"], contrast_by="contents"))
+    made = []
+
+    class Counting(RandomUnderwater):
+        def transform(self, *inputs: Any) -> Any:
+            made.append(1)
+            return augment.transform(*inputs)
+
+    counting = Counting(augment.water)
+    with pytest.warns(UserWarning, match="nearest draws look unlike.*greener"):
+        found = uwaug.like(
+            iter([GREEN, blue, red, blue]), pictures(4), maps(4), augment=counting, **FEW
+        )
+    nearness = found.nearness
+    assert nearness is not None
+    assert len(found.kept) == 4 * FEW["keep"]
+    assert nearness.far() == [2]
+    assert max(nearness.of_each[0], nearness.of_each[1]) < 0.8 * nearness.drawn
+    assert str(nearness).endswith("1 far from anything that water can do")
+    # the first takes FEW["draws"], each of three others the half without new ones, or less
+    assert FEW["draws"] < len(made) <= FEW["draws"] * (1 + 3 * 0.3) + 3
+
+
+@pytest.mark.parametrize(("kept", "verdict"), [(0.5, "near"), (0.9, "fair"), (1.3, "far from any")])
+def test_a_verdict_in_words(kept: float, verdict: str) -> None:
+    assert str(Nearness(kept, 1.5, "")).startswith(verdict)
+    assert f"{kept:.2f} away" in str(Nearness(kept, 1.5, ""))
 
 
 def test_pictures_that_are_left_alone_are_not_looked_at() -> None:

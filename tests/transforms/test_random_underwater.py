@@ -632,6 +632,7 @@ REFUSED_RECORDS: list[tuple[str, Any, str]] = [
     ("light", {"power": 1.0}, "of a transform with other options: light.pitch"),
     ("development.gamut", 7.0, r"development.gamut must be in \[0, 1\], got 7"),
     ("moved", math.inf, "moved must be finite"),
+    ("motion", 0.1, "motion must be three numbers"),
     ("measured", 3.0, "measured must be a table"),
     ("measured", {"median": -1}, "other options: measured.exposure, measured.white_balance"),
     *[("measured", {**FILM, "median": m}, "median must be above 0 m") for m in (-1, math.nan, "3")],

@@ -75,6 +75,18 @@ def pair(name: str, value: Any, wanted: str) -> tuple[float, float]:
     return low, high
 
 
+def vector(
+    name: str, value: Any, low: float = -math.inf, high: float = math.inf
+) -> tuple[float, float, float]:
+    """Return three numbers; refuse anything else, and numbers outside [low, high]."""
+    if not isinstance(value, (tuple, list)) or len(value) != 3:
+        raise TypeError(f"{name} must be three numbers, got {value!r:.80}")
+    for number in value:
+        within(name, number, low, high)
+    x, y, z = map(float, value)
+    return x, y, z
+
+
 def positive(name: str, value: float, unit: str = "") -> None:
     """Refuse a number that is 0, negative, infinite or NaN."""
     number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)

@@ -86,10 +86,14 @@ def print_written(*paths: Path) -> None:
 
 @contextmanager
 def status() -> Iterator[Callable[[str], None]]:
-    """Show on a terminal what the command is doing."""
+    """Show what the command is doing: in one line on a terminal, elsewhere a line for each step."""
     from rich.console import Console
 
-    with Console(stderr=True).status("starting") as line:
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda step: print(step, file=sys.stderr, flush=True)
+        return
+    with console.status("starting") as line:
         yield line.update
 
 

@@ -3,13 +3,23 @@
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from uwaug.cli.choices import Force, Holes, Preset, Resume, Unit, Workers, number_or_word
-from uwaug.cli.console import counted, end_if_failed, print_counts, print_written, reported_errors
+from uwaug.cli.console import (
+    counted,
+    end_if_failed,
+    print_counts,
+    print_written,
+    reported_errors,
+    status,
+)
 from uwaug.files.formats import formats
+
+if TYPE_CHECKING:
+    from uwaug.files.summary import Summary
 
 
 def degrade(
@@ -40,11 +50,19 @@ def degrade(
         str | None,
         typer.Option(help="Contrast left at median distance, .4 or .1:.8; none: as in nature."),
     ] = None,
+    severity: Annotated[
+        str | None,
+        typer.Option(
+            help="Grade of the water, 1 (mild) to 5 (severe), at one contrast for all pictures; "
+            "all: into a folder for each, 1 to 5.",
+            metavar="1…5|all",
+        ),
+    ] = None,
     like: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Underwater photograph that pictures shall look like: of many random waters the "
-            "most similar are taken; repeat it for several."
+            help="Underwater photographs that pictures shall look like, a file or a folder: of "
+            "many random waters the most similar to each are taken; repeat it for several.",
         ),
     ] = None,
     preset: Preset = None,
@@ -61,7 +79,8 @@ def degrade(
         typer.Option(
             "--set",
             help="Set any option: water.vertical_depth=0:5, development.saturation=1, light=none; "
-            "for films drift=.004 (m per frame); for JPEG quality=80; repeat it for several.",
+            "for films drift=.004 (m per frame) and motion=[.02,0,0], of the camera to the right, "
+            "down and forward, or 12px; for JPEG quality=80; repeat it for several.",
             metavar="NAME=VALUE",
         ),
     ] = None,
@@ -78,6 +97,14 @@ def degrade(
     force: Force = False,
     sheet: Annotated[bool, typer.Option("--sheet", help="Also draw a sheet of results.")] = False,
     ray: Annotated[str | None, typer.Option(help="Ray cluster: auto, host:port, or local.")] = None,
+    maps: Annotated[
+        str | None,
+        typer.Option(
+            help="Also write what restores a picture: clean light, distance, transmission, signal "
+            "and veil, float32 in linear light, and coefficients in its record.",
+            metavar="npy|exr",
+        ),
+    ] = None,
     labels: Annotated[str | None, typer.Option(help=f"Labels of pictures: {formats()}.")] = None,
     min_contrast: Annotated[
         float | None, typer.Option(help="Least contrast left for a label to be kept, 0…1.")
@@ -108,13 +135,18 @@ def degrade(
         from uwaug.files import degrade as run
         from uwaug.files.distances import distances_of
         from uwaug.files.items import left_out
-        from uwaug.files.prepare import prepare
+        from uwaug.files.prepare import prepare, references_of
         from uwaug.transforms import RandomUnderwater
 
+        if severity is not None and (contrast is not None or like):
+            raise ValueError("--severity is a contrast: give no --contrast and no --like with it")
+        grades = {"": None} if severity is None else _grades(severity)
         values = _options(preset, plain, options, set_ or (), water or (), contrast)
-        run_values = {name: values.pop(name) for name in ("drift", "quality") if name in values}
-        if "drift" in run_values and not sequence:
-            raise ValueError("--set drift is of films, whose frames --sequence makes of a folder")
+        run_options = [name for name in ("drift", "motion", "quality") if name in values]
+        run_values = {name: values.pop(name) for name in run_options}
+        if run_options and run_options != ["quality"] and not sequence:
+            got = f"--set {run_options[0]} is of films"
+            raise ValueError(f"{got}, whose frames --sequence makes of a folder")
         if plain and not (values["water"].get("waters") and (distance or "distance" in values)):
             raise ValueError("--plain draws nothing: give both, one --water and --distance")
         map_values: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
@@ -130,26 +162,52 @@ def degrade(
             labels=labels,
             min_contrast=min_contrast,
             sequence=sequence,
+            maps=maps,
             **run_values,
         )
         items = find_items(pictures, distances.maps, exclude=[out, labels])
         if formats_left_out := left_out(pictures, distances.maps, exclude=[out, labels]):
             print(f"left out, as such files are not read: {formats_left_out}")
-        recipe, sentences = prepare(recipe, items, like or ())
+        references = references_of(like or ())
+        with status() as say:
+            if references:
+                say("looking for waters like the photographs")
+            recipe, sentences = prepare(recipe, items, references)
         for sentence in filter(None, (distances.note, *sentences)):
             print(sentence, flush=True)
-        with counted() as progress:
-            summary = run(
-                recipe,
-                items,
-                out,
-                workers=workers,
-                resume=resume,
-                force=force,
-                sheet=sheet,
-                ray=ray,
-                progress=progress,
-            )
+        summaries = []
+        for folder, left in grades.items():
+            with counted() as progress:
+                summary = run(
+                    recipe if left is None else recipe.at_contrast(left),
+                    items,
+                    out / folder,
+                    workers=workers,
+                    resume=resume,
+                    force=force,
+                    sheet=sheet,
+                    beside=references,
+                    ray=ray,
+                    progress=progress,
+                )
+            summaries.append(summary)
+            _print_summary(summary, out / folder, labels)
+    end_if_failed([failure for summary in summaries for failure in summary.failures])
+
+
+def _grades(severity: str) -> dict[str, float | None]:
+    """Folders below that of the run, "" for itself, and the contrast that is left in each."""
+    from uwaug.transforms.random_underwater import SEVERITIES
+
+    if severity == "all":
+        return {str(level): left for level, left in SEVERITIES.items()}
+    if severity not in map(str, SEVERITIES):
+        raise ValueError(f"--severity must be 1 (mild) to 5 (severe), or all, got {severity!r}")
+    return {"": SEVERITIES[int(severity)]}
+
+
+def _print_summary(summary: "Summary", out: Path, labels: str | None) -> None:
+    """Print what became of a run."""
     print_counts(summary, "pictures", out)
     if labels is not None:
         count, kept = summary.objects
@@ -162,7 +220,6 @@ def degrade(
         print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}")
     for question in summary.asked:
         print(question)
-    end_if_failed(summary.failures)
 
 
 def _options(

@@ -5,16 +5,17 @@ from typing import Annotated
 
 import typer
 
-from uwaug.cli.choices import Force, Preset, Water
+from uwaug.cli.choices import PLACES, WATERS, Force, Preset, Water
 from uwaug.cli.console import end, print_written, reported_errors, require_writable, status
 
 
 def export(
     out: Annotated[Path, typer.Option(help=".onnx file to write.")],
+    name: Annotated[str | None, typer.Argument(help="As --preset.", metavar="PRESET")] = None,
     preset: Preset = None,
     water: Water = None,
     coefficients: Annotated[
-        bool, typer.Option("--coefficients", help="Inputs for coefficients: a file for any water.")
+        bool, typer.Option("--coefficients", help="Inputs for coefficients: a file for all waters.")
     ] = False,
     sides: Annotated[
         tuple[int, int], typer.Option(help="Smallest and largest short side of pictures, px.")
@@ -22,9 +23,13 @@ def export(
     force: Force = False,
 ) -> None:
     """Write a preset, or what uwaug fit has written, as an ONNX file, and check it."""
+    if name is not None and preset is not None:
+        end(2, f"{name} and --preset {preset}: give one preset")
+    preset = preset or name
     if preset is None:
         end(2, "expected --preset, a preset's name or file, or what uwaug fit has written")
     require_writable(out, force=force, endings=(".onnx",))
+    from uwaug import Medium, Underwater
     from uwaug.fitting import load_fit
     from uwaug.onnx import export_onnx
     from uwaug.presets import load_preset
@@ -35,6 +40,18 @@ def export(
             module = load_fit(preset).module(sides=sides)
         else:
             module = load_preset(preset, water=water).module(sides=sides)
+            if coefficients and water is None:
+                # planned for the widths of all named waters
+                media = [load_preset(preset, water=n).module().medium for n in (*WATERS, *PLACES)]
+                module = Underwater(
+                    Medium.stack([module.medium, *media]),
+                    module.distance_range,
+                    module.tolerance,
+                    module.color_space,
+                    sides=sides,
+                    development=module.development,
+                    light=module.light,
+                )
         export_onnx(module, out, coefficients=coefficients, progress=say)
     print_written(out)
     print(f"    {module.medium}")

@@ -70,9 +70,12 @@ def compare(
     system: Annotated[
         list[str] | None, typer.Option(help="Published system; repeat it for more. All by default.")
     ] = None,
+    stretch: Annotated[
+        float, typer.Option(help="Factor of all distances: .2 brings the scene 5 times nearer.")
+    ] = 1.0,
     force: Force = False,
 ) -> None:
-    """Draw your own scene as each published system makes it."""
+    """Draw your own scene as uwaug and each published system make it."""
     require_writable(out, force=force, endings=(".png", ".jpg"))
     from uwaug._support.extras import require
     from uwaug.figures.comparison import draw_comparison
@@ -82,7 +85,7 @@ def compare(
         require("plot", "matplotlib")
         scene = read_scene(picture, distance, unit, holes)
         say("computing the systems")
-        save(draw_comparison(scene, water or "II", system or ()), out)
+        save(draw_comparison(scene, water or "II", system or (), stretch=stretch), out)
     print_written(out)
 
 

@@ -1,11 +1,12 @@
 """`uwaug preset …` and `uwaug waters`."""
 
+import json
 from contextlib import suppress
 from typing import Annotated, Any
 
 import typer
 
-from uwaug.cli.choices import PLACES, WATERS, complete
+from uwaug.cli.choices import PLACES, WATERS, Preset, complete
 from uwaug.cli.console import reported_errors
 from uwaug.presets.files import list_presets, preset_path
 
@@ -56,8 +57,26 @@ def show(
         print(f"\n# It comes to {preset.module().medium}")
 
 
-def waters() -> None:
-    """List the waters: in words, visibility, attenuation, doubts."""
+def waters(
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print rows for the inputs of uwaug export --coefficients."),
+    ] = False,
+    preset: Preset = "survey",
+) -> None:
+    """List the waters: in words, visibility, attenuation, doubts. Or their numbers, as JSON, in a
+    preset's camera, depth and light.
+    """
+    if as_json:
+        from uwaug.onnx import input_rows
+        from uwaug.presets import load_preset
+
+        with reported_errors():
+            names = (*WATERS, *PLACES)
+            modules = {name: load_preset(preset or "", water=name).module() for name in names}
+        media = {name: module.medium for name, module in modules.items()}
+        print(json.dumps(input_rows(media, modules[WATERS[0]].light), ensure_ascii=False))
+        return
     from rich.console import Console
     from rich.table import Table
 

@@ -40,11 +40,11 @@ if TYPE_CHECKING:
 _DEPTH_M = 5.0
 """Depth (m) below the surface of scenes in waters."""
 
-_SETTING = (
+SETTING = (
     f"Scene {_DEPTH_M:g} m deep, surfaces with spectra, a camera with its colour matrix and an "
     "automatic exposure"
 )
-"""Caption for pictures of `_in_waters`."""
+"""Caption for pictures of `in_waters`."""
 
 _COASTAL_TYPE = "1C"
 
@@ -71,7 +71,7 @@ class Case(NamedTuple):
 def water_case(water: Water, scene: Scene, field_range: tuple[float, float] = (1.0, 1.0)) -> Case:
     """Make the case of a scene in a water, as on the sheet of ten waters."""
     name = f"Jerlov {water.name}" if water.name in JERLOV_TYPES else water.name
-    return Case(name, _SETTING, _in_waters([water], scene), field_range)
+    return Case(name, SETTING, in_waters([water], scene), field_range)
 
 
 def preset_case(name: str, preset: RandomUnderwater) -> Case:
@@ -86,8 +86,8 @@ def preset_case(name: str, preset: RandomUnderwater) -> Case:
     return Case(f"preset {name}", setting, module, preset.water.field or (1.0, 1.0))
 
 
-def _in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
-    """Make a module of waters, with spectral surfaces and the calibrated width law."""
+def in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
+    """Make a module of waters, 5 m deep, with spectral surfaces and the calibrated width law."""
     law = PointSpread.calibrated(scene.focal_px or FOCAL_LENGTH * scene.image.shape[-1])
     media = (
         Medium.from_water(
@@ -107,10 +107,10 @@ def draw_contact_sheet(scene: Scene) -> "Figure":
     waters = [Water.jerlov(name) for name in JERLOV_TYPES]
     beyond = "" if bool(scene.distance.isfinite().all()) else " and open water"
     caption = f"Jerlov types over the scene's distances, {metres(scene.distance)}{beyond}"
-    figure, axes = sheet(scene, 12, "One scene in ten waters", f"{caption}. {_SETTING}.")
+    figure, axes = sheet(scene, 12, "One scene in ten waters", f"{caption}. {SETTING}.")
     show(axes[0], scene.image, "No water")
     show_distance(axes[1], scene.distance)
-    pictures = _in_waters(waters, scene)(scene.image, scene.distance)
+    pictures = in_waters(waters, scene)(scene.image, scene.distance)
     for axis, water, picture in zip(axes[2:], waters, pictures, strict=True):
         show(axis, picture, f"{water.name}   (visibility {water.visibility():.2g} m)")
     return figure

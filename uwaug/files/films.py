@@ -55,8 +55,8 @@ class Films:
         self._settled: dict[tuple[Item, int], tuple[Record, list[Any]]] = {}
 
     def settled(self, frame: Frame, variant: int) -> tuple[Record, list[Any]]:
-        """The record of a frame's film, and the frame that it is settled on: its name, and the
-        digests of its picture and its map.
+        """The record of a frame's film, with its camera's motion a frame, and the frame that it is
+        settled on: its name, and the digests of its picture and its map.
 
         The film is settled on the first candidate that can be read, is not dark and shows more than
         open water; without one, on the first that can be read. Without that, it is refused.
@@ -76,8 +76,9 @@ class Films:
         (sample,) = record["samples"]
         if "measured" not in sample:
             return record
-        drift = self.recipe.drift * frame.number
-        return {"samples": [{**of_frame(sample, frame.number), "moved": drift}]}
+        motion = [step * frame.number for step in sample["motion"]]
+        ways = {"moved": self.recipe.drift * frame.number, "motion": motion}
+        return {"samples": [{**of_frame(sample, frame.number), **ways}]}
 
     def _settle(self, candidates: Sequence[Item], variant: int) -> tuple[Record, Item]:
         draw = self.recipe.drawn(candidates[0].name, variant)
@@ -89,7 +90,10 @@ class Films:
             except Exception as error:  # as over the picture itself
                 reasons.append(f"{item.name}: {reason_of(error)}")
                 continue
-            median = record["samples"][0].get("measured", {}).get("median", 0.0)
+            (sample,) = record["samples"]
+            median = sample.get("measured", {}).get("median", 0.0)
+            if median:
+                sample["motion"] = self.recipe.motion_before(median, image.shape[-1])
             light = float(image.float().mean()) / (1 if image.is_floating_point() else 255)
             if light >= _DARK_MEAN and median < checks.OPEN:
                 return record, item

@@ -15,13 +15,14 @@ from uwaug.distance.doubts import REVERSED, doubts, evidence
 from uwaug.distance.sources import Inverse, Metres, Relative
 from uwaug.distance.unknown import NO_RANGE, in_words, of_metres, of_shares
 from uwaug.files.films import frames_of
-from uwaug.files.items import Item
+from uwaug.files.items import Item, find_items
 from uwaug.files.pictures import read_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import reason_of
 from uwaug.transforms.like import like
 
 _SAMPLE_COUNT = 8  # pictures that are looked at, spread over the run
+_REFERENCE_COUNT = 32  # photographs that are looked at, spread over all: a second each
 
 
 def prepare(
@@ -33,7 +34,8 @@ def prepare(
 
     Args:
         recipe, items: as for `degrade`.
-        references: photographs taken under water that pictures shall look like, see `uwaug.like`.
+        references: photographs taken under water that pictures shall look like, see `uwaug.like`
+            and `references_of`.
 
     Returns:
         The recipe to run, which draws waters like those of the references; and sentences to tell:
@@ -57,17 +59,28 @@ def prepare(
         sentences.append(f"{got}: {cure}")
     if not references:
         return recipe, sentences
-    photographs = [read_picture(path) for path in references]
     accepted = [sample for sample in samples if not sample.reason]
     images, maps = [s.image for s in accepted], [s.z for s in accepted if s.z is not None]
     with one_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the sentences say it all
         augment, seed = recipe.transform, recipe.seed
+        photographs = map(read_picture, references)
         transform = like(photographs, images, maps or None, augment=augment, seed=seed)
-    assert transform.nearness is not None
-    nearness = f"like {', '.join(map(str, references))}: {transform.nearness}"
-    sentences += filter(None, (nearness, transform.nearness.doubt))
+    nearness = transform.nearness
+    assert nearness is not None
+    count = f"{len(references)} photographs" if references[1:] else references[0]
+    sentences += filter(None, (f"like {count}: {nearness}", nearness.doubt))
+    if references[1:] and (far := nearness.far()):
+        names = ", ".join(str(references[i]) for i in far[:3])
+        sentences.append(f"far: {names}{' and others' * (len(far) > 3)}")
     return replace(recipe, transform=transform), sentences
+
+
+def references_of(paths: Sequence[Path]) -> list[Path]:
+    """Photographs in files and folders; 32 of them, spread over all, if there are more."""
+    files = [item.picture for path in paths for item in find_items(path)]
+    count = min(len(files), _REFERENCE_COUNT)
+    return [files[i * len(files) // count] for i in range(count)]
 
 
 class _Sample(NamedTuple):

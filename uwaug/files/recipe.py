@@ -13,9 +13,12 @@ from uwaug.distance.sources import Metres
 from uwaug.files.items import Item
 from uwaug.files.pictures import metres_of, read_distance, read_picture, write_picture
 from uwaug.formation.colour import linear_to_srgb
+from uwaug.optics.point_spread import FOCAL_LENGTH
 from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
-from uwaug.transforms.samples import key_of
+
+MAP_FORMATS = ("npy", "exr")
+"""Formats of maps: float32, the only ones that hold light below 0 and above 1 and any distance."""
 
 
 @plain
@@ -34,8 +37,13 @@ class Recipe:
             all labels.
         sequence: True if the pictures of a folder are frames of one film, in the order of their
             names: one draw for all, settled on one of them (see `RandomUnderwater.for_clip`).
-        drift: drift of a sequence's field, m a frame; .004 is .1 m/s at 25 frames a second.
+        drift: drift of a sequence's field and snow, m a frame; .004 is .1 m/s at 25 frames a
+            second.
+        motion: motion of its camera to the right, down and forward, m a frame; or, as "12px", to
+            the right, by which what is at the median distance moves so many px to the left.
         quality: quality of JPEG, 1…100.
+        maps: format of maps of the truth (see `uwaug.transforms.truth.Truth`), "npy" or "exr",
+            written to the folder `maps` of the run; None for none.
 
     Raises:
         TypeError, ValueError: if a value does not suit.
@@ -49,7 +57,9 @@ class Recipe:
     min_contrast: float | None = None
     sequence: bool = False
     drift: float = 0.004
+    motion: tuple[float, float, float] | str = (0.0, 0.0, 0.0)
     quality: float = 95
+    maps: str | None = None
 
     def __post_init__(self) -> None:
         checks.instance("transform", self.transform, RandomUnderwater)
@@ -61,12 +71,36 @@ class Recipe:
         if self.min_contrast is not None and self.labels is None:
             raise ValueError("min_contrast (--min-contrast) is of labels, of which none are given")
         checks.within("drift", self.drift)
+        if isinstance(self.motion, str):
+            self.motion_before(1.0, 1)
+        else:
+            object.__setattr__(self, "motion", checks.vector("motion", self.motion))
         checks.within("quality", self.quality, 1, 100)
+        if self.maps is not None:
+            checks.one_of("maps", self.maps, MAP_FORMATS)
+
+    def at_contrast(self, left: float) -> "Recipe":
+        """The same recipe with so much contrast left at the median distance of each picture."""
+        water = replace(self.transform.water, contrast=left)
+        return replace(self, transform=replace(self.transform, water=water))
 
     def drawn(self, name: str, variant: int) -> Record:
         """The draw of a picture: all its random numbers."""
-        generator = torch.Generator().manual_seed(key_of(self.seed, variant, name))
+        generator = self.transform.generator_of(self.seed, variant, name)
         return self.transform.make_params(torch.empty(3, 1, 1), generator)
+
+    def motion_before(self, median: float, width: int) -> tuple[float, float, float]:
+        """Motion of a sequence's camera, m a frame, before a scene at a median distance (m)."""
+        if not isinstance(self.motion, str):
+            return self.motion
+        try:
+            px = float(self.motion.removesuffix("px"))
+            checks.within("motion", px)
+        except ValueError:
+            wanted = "three numbers, m, or px as in 12px"
+            raise ValueError(f"motion must be {wanted}, got {self.motion!r}") from None
+        is_open = median >= checks.OPEN  # where nothing seems to move
+        return 0.0 if is_open else px * median / (FOCAL_LENGTH * width), 0.0, 0.0
 
     @cached_property
     def _in_light(self) -> RandomUnderwater:

@@ -171,13 +171,14 @@ def run(
     ray: str | None = None,
     index: bool = True,
     sheet: bool = False,
+    beside: Sequence[Path] = (),
     progress: Progress | None = None,
 ) -> Summary:
     """Do the work on each job.
 
     Args:
         work, jobs: the work, and the pictures.
-        workers, ray, sheet, progress: as for `degrade`.
+        workers, ray, sheet, beside, progress: as for `degrade`.
         index: write index.csv.
     """
     require_apart(jobs, work.out)
@@ -207,7 +208,8 @@ def run(
         if result.status != "failed":
             variants.setdefault(result.item.picture, []).append(work.out / result.place)
     if sheet and variants:
-        write_sheet(work.out / "sheet.jpg", list(variants.items()), work.read, work.caption)
+        groups = list(variants.items())
+        write_sheet(work.out / "sheet.jpg", groups, work.read, work.caption, beside)
     return summary
 
 

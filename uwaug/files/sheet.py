@@ -22,28 +22,37 @@ def write_sheet(
     variants: Sequence[tuple[Path, Sequence[Path]]],
     read: Callable[[Path], Tensor],
     caption: Callable[[Path], str],
+    beside: Sequence[Path] = (),
 ) -> None:
-    """Draw pictures, each with its variants to the right, and names and captions below.
+    """Draw pictures, each with its variants to the right, and names and captions below; then
+    photographs for comparison.
 
     Args:
         path: file of the sheet.
         variants: the file of each picture, with the files of its variants.
         read: function that gives the picture (3xHxW) of a variant's file.
         caption: function that gives its caption, two lines at most.
+        beside: files of the photographs, of which some are drawn.
     """
     step = max(1, (len(variants) - 1) // max(1, _MAX_PICTURES - 1))
     sample = variants[::step][:_MAX_PICTURES]
     groups = [(before, *after[:_MAX_VARIANTS]) for before, after in sample]
     columns = max(map(len, groups))
+    real = beside[:: -(-len(beside) // _MAX_PICTURES) or 1]
+    groups += [tuple(real[i : i + columns]) for i in range(0, len(real), columns)]
     across = min(len(groups), max(1, _MAX_COLUMNS // columns))
     cell = (columns * _WIDTH_PX + _LINE_PX, _HEIGHT_PX + 4 * _LINE_PX)
     sheet = Image.new("RGB", (across * cell[0], -(-len(groups) // across) * cell[1]), "white")
     for number, files in enumerate(groups):
         y, x = number // across * cell[1], number % across * cell[0]
         for column, file in enumerate(files):
-            picture = read(file) if column else read_picture(file)
+            is_result = column > 0 and number < len(sample)
+            words = "real" * (number >= len(sample))
+            picture, words = (
+                (read(file), caption(file)) if is_result else (read_picture(file), words)
+            )
             sheet.paste(_small(picture), (x, y))
-            sheet.paste(_label(file.name, caption(file) if column else ""), (x, y + _HEIGHT_PX))
+            sheet.paste(_label(file.name, words), (x, y + _HEIGHT_PX))
             x += _WIDTH_PX
     with written_whole(path) as part:
         sheet.save(part, "JPEG", quality=90)

@@ -80,7 +80,7 @@ def encoded(
     """
     values = light
     if color_space == "srgb":
-        values = linear_to_srgb(light)
+        values = _encode_positive(light) if torch.compiler.is_compiling() else linear_to_srgb(light)
         if isinstance(largest, Tensor):
             values = torch.minimum(values.clamp(min=0.0), largest)
         else:
@@ -134,12 +134,18 @@ def linear_to_srgb(x: Tensor) -> Tensor:
 # are exact where a power is 1, at white.
 def _decode(x: Tensor) -> Tensor:
     m = x.abs().clamp(_SRGB_KNEE, _LARGEST)
-    return x / m * torch.exp(torch.log1p((m - 1) * (1 / 1.055)) * 2.4)
+    return x / m * torch.exp(torch.log(m * (1 / 1.055) + 0.055 / 1.055) * 2.4)
 
 
 def _encode(x: Tensor) -> Tensor:
     m = x.abs().clamp(_LINEAR_KNEE, _LARGEST)
-    return x / m * (1.055 * (torch.exp(torch.log1p(m - 1) * (1 / 2.4)) - 1) + 1)
+    return x / m * (1.055 * (torch.exp(torch.log(m) * (1 / 2.4)) - 1) + 1)
+
+
+def _encode_positive(x: Tensor) -> Tensor:
+    """What clips negative values needs no odd extension: from the knee on the line lies above."""
+    m = x.clamp(_LINEAR_KNEE, _LARGEST)
+    return torch.minimum(12.92 * x, 1.055 * (torch.exp(torch.log(m) * (1 / 2.4)) - 1) + 1)
 
 
 # The same for eager mode: in place on pieces that stay in the cache, with x alone kept for the

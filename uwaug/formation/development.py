@@ -31,7 +31,7 @@ from uwaug._support.compiled import compiled
 from uwaug._support.types import Array
 from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.sensor import Sensor
-from uwaug.optics.curves import Curves
+from uwaug.optics.curves import Curves, raised
 from uwaug.optics.medium import Medium
 
 MID_GREY = 0.18
@@ -401,7 +401,7 @@ def curved(light: Tensor, contrast: float | Tensor) -> Tensor:
         k = tone_offset(contrast)
     size = light.abs().clamp(min=TOE)
     inside = size.clamp(max=1.0)
-    power = inside**contrast
+    power = raised(inside, contrast)
     beyond = (size - inside) * (contrast * k / (1 + k))
     curve: Tensor = light / size * ((1 + k) * power / (power + k) + beyond)
     return curve

@@ -79,10 +79,10 @@ def random_fields(
     low: float,
     high: float,
     like: Tensor,
-    moved: Sequence[float],
+    moved: Sequence[tuple[float, float]],
 ) -> Tensor:
     """Fields (Bx1xHxW) of seeds of torch's generator on the CPU, on the device of `like`, in
-    float32. Each moves to the right by so many px, and goes on beyond its left edge.
+    float32. Each moves to the right and down by so many px, and goes on beyond its edges.
     """
     n = 2 * _cutoff(4.0, max(size)) + 1
     noise = torch.empty(len(seeds), n, n, dtype=torch.float32, device="cpu")
@@ -100,18 +100,19 @@ def field_of(
     exponent: float,
     low: float,
     high: float,
-    moved: Sequence[float] = (),
+    moved: Sequence[tuple[float, float]] = (),
 ) -> Tensor:
     """Fields (Bx1xHxW) of white noise (Bxnxn, n odd). Index i of its last two axes stands for
     (i + 1)//2 cycles per torus, as a sine if i is odd, else a cosine.
     """
     waves = _waves(noise, height, width, exponent)
-    rows = waves.down @ (noise * waves.amplitude)
-    fields = still = (rows @ waves.across)[:, None]
-    if any(moved):
-        longest, count = max(height, width), noise.shape[-1]
-        across = torch.stack([_cosines(width, longest, noise, count, px) for px in moved])
-        fields = (rows @ across.mT)[:, None]
+    amplitudes = noise * waves.amplitude
+    fields = still = (waves.down @ amplitudes @ waves.across)[:, None]
+    if any(map(any, moved)):
+        sizes = max(height, width), noise, noise.shape[-1]
+        across = torch.stack([_cosines(width, *sizes, right) for right, _ in moved])
+        down = torch.stack([_cosines(height, *sizes, px) for _, px in moved])
+        fields = (down @ amplitudes @ across.mT)[:, None]
     # by the ends of the field that has not moved: else all of it would change as it moves
     if checks.on_host(still) and len(still):
         pairs = zip(torch.split(fields, 1), still, strict=True)

@@ -30,6 +30,7 @@ from uwaug.formation.development import NEUTRAL, Development, exposed
 from uwaug.formation.inputs import effective_distance, validate
 from uwaug.light import Light
 from uwaug.light.snow import snowing
+from uwaug.optics.curves import Curves
 from uwaug.optics.medium import Medium
 
 _BAND_PIXELS = 1 << 18
@@ -37,8 +38,8 @@ _BAND_PIXELS = 1 << 18
 halves the time at 1024 px; at 512 px it is the same.
 """
 
-Blurs = Callable[[Tensor, BlurPlan], list[Tensor]]
-"""The blurs of a plan, see `uwaug.blur.stack.blurred`."""
+Blur = Callable[[Tensor, Tensor], Tensor]
+"""Varying blur of light (Bx3xHxW) by widths (Bx1xHxW, px)."""
 
 
 def form(
@@ -53,7 +54,7 @@ def form(
     plan: BlurPlan | None = None,
     plans: Sequence[BlurPlan] = (),
     tolerance: float = 0.002,
-    blurs: Blurs = blurred,
+    blur: Blur | None = None,
     normals: Tensor | None = None,
 ) -> Tensor:
     """D + F + B as the camera stores it. Nothing is checked.
@@ -68,7 +69,7 @@ def form(
         plan: plan of the blur; None plans for the distances at hand.
         plans: one plan for each picture, in place of `plan`.
         tolerance: tolerance of a plan for the distances at hand.
-        blurs: function that computes the blurs of the plan.
+        blur: function that blurs by the plan, in place of PyTorch.
         normals (Bx3xHxW): normals of the sensor's noise; None draws them.
     """
     if image.numel() == 0 or z.numel() == 0:
@@ -92,7 +93,7 @@ def form(
             plan = plan_for(
                 z, brightest.brightened(gain.detach()), (z.shape[-2], z.shape[-1]), tolerance
             )
-        soft = blurred_as_seen(J, z, medium, plan, blurs)
+        soft = blurred_as_seen(J, z, medium, plan, blur)
     # after the gain: the camera is metered without snow, which changes nothing else in a picture
     T = snowing(T, medium, light, z, metres)
     largest = headroom(image) if color_space == "srgb" else 1.0
@@ -131,12 +132,15 @@ def _nothing(image: Tensor, z: Tensor) -> Tensor:
 
 
 def blurred_as_seen(
-    J: Tensor, z: Tensor, medium: Medium, plan: BlurPlan, blurs: Blurs = blurred
+    J: Tensor, z: Tensor, medium: Medium, plan: BlurPlan, blur: Blur | None = None
 ) -> Tensor:
     """J (Bx3xHxW) blurred by forward scatter, at each pixel by the width at its distance z."""
     if plan.sigmas == (0.0,) and not medium.requires_grad:
         return J
-    stack, size = blurs(J, plan), (z.shape[-2], z.shape[-1])
+    size = (z.shape[-2], z.shape[-1])
+    if blur is not None:
+        return blur(J, medium.width(z, size))
+    stack = blurred(J, plan)
     if len(stack) == 1:  # the width does nothing: its gradient is 0, not missing
         return stack[0] + 0 * medium.width(z, size) if medium.requires_grad else stack[0]
 
@@ -144,6 +148,29 @@ def blurred_as_seen(
         return mixed(list(stack), node_weights(medium.width(z, size), plan))
 
     return _in_bands(medium, mixture, z, *stack)
+
+
+def terms_of(
+    J: Tensor,
+    z: Tensor,
+    medium: Medium,
+    development: Development = NEUTRAL,
+    *,
+    light: Light | None = None,
+    metres: Tensor | None = None,
+    tolerance: float = 0.002,
+) -> tuple[Curves, dict[str, Tensor], Tensor]:
+    """Curves at every pixel, the terms (Bx3xHxW) by name, and the camera's gain. Nothing is
+    checked; arguments as for `form`, but for linear light J and a medium of the type of z.
+    """
+    T = medium.curves(z) if light is None else light.curves(medium, z, metres)
+    gain = development.gain(J, z, medium, None if light is None else T)
+    brightest = medium if light is None else light.planned(medium)
+    size = z.shape[-2], z.shape[-1]
+    plan = plan_for(z, brightest.brightened(gain.detach()), size, tolerance)
+    soft = blurred_as_seen(J, z, medium, plan)
+    T = snowing(T, medium, light, z, metres) or T
+    return T, medium.parts(z, J, soft, T), gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,10 +229,7 @@ def form_image(
         if J.numel() == 0 or z.numel() == 0:
             return Terms(**{field.name: _nothing(J, z) for field in fields(Terms)})
         J = J.to(dtype)
-        brightest = water if light is None else light.planned(water)
-        plan = plan_for(z, brightest, (z.shape[-2], z.shape[-1]), tolerance)
-        soft = blurred_as_seen(J, z, water, plan)
-        T = snowing(None if light is None else light.curves(water, z), water, light, z)
-        terms = water.parts(z, J, soft, T) | {"image": water.image(z, J, soft, T)}
+        terms = terms_of(J, z, water, light=light, tolerance=tolerance)[1]
+        terms["image"] = sum(list(terms.values())[1:], terms["direct"])
     rows = 0 if image.ndim == 3 and len(terms["image"]) == 1 else slice(None)
     return Terms(**{name: term.to(image.dtype)[rows] for name, term in terms.items()})

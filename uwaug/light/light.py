@@ -84,12 +84,8 @@ class Lamp:
     def __post_init__(self) -> None:
         limits = {"position": (-1e4, 1e4), "aim": (-1e4, 1e4), "color": (0.0, math.inf)}
         for name, (low, high) in limits.items():
-            vector = getattr(self, name)
-            if not isinstance(vector, (tuple, list)) or len(vector) != 3:
-                raise TypeError(f"{name} must be three numbers, got {vector!r:.80}")
-            for number in vector:
-                checks.within(name, number, low, high)
-            object.__setattr__(self, name, tuple(map(float, vector)))
+            vector = checks.vector(name, getattr(self, name), low, high)
+            object.__setattr__(self, name, vector)
         if math.hypot(*self.aim) < 1e-6:
             raise ValueError(f"aim must point somewhere, got {self.aim}")
         checks.within("power", self.power, 0.0)
@@ -233,7 +229,7 @@ class Light:
             weights.append(lamp.dyed(water.signal_weights.flatten(2)))
         # one product for all lamps, which writes up to nine numbers a pixel once
         shape = water.signal_weights.shape[1:-1]
-        rows = torch.cat([part.reshape(len(part), shape.numel(), -1) for part in weights], 2)
+        rows = torch.cat([part.reshape(part.shape[0], shape.numel(), -1) for part in weights], 2)
         arrives = torch.unflatten(rows @ torch.cat(decayed, 1), -1, z.shape[-2:])
         return torch.unflatten(arrives, 1, shape)
 

@@ -7,7 +7,7 @@ the planned range get the nearer end's blur, as in PyTorch.
 
 from uwaug.onnx.check import Report, check_onnx
 from uwaug.onnx.export import export_onnx
-from uwaug.onnx.run import OnnxUnderwater, coefficients_of, read_metadata
+from uwaug.onnx.run import OnnxUnderwater, coefficients_of, input_rows, read_metadata
 
 __all__ = [
     "OnnxUnderwater",
@@ -15,5 +15,6 @@ __all__ = [
     "check_onnx",
     "coefficients_of",
     "export_onnx",
+    "input_rows",
     "read_metadata",
 ]

@@ -4,6 +4,9 @@
 are convolutions with a channel for each px, or cell, of a period. All results of a period come from
 one window, which is twice as fast as a window for each. Work is done in whole periods of rows and
 columns; what lies beyond the picture is cut off at the end.
+
+Blurs end, and are mixed, with their rows in order of phase: row 0 of all periods, row 1 of all, and
+so on. That is how a convolution leaves them, and only the mixture is brought into the rows' order.
 """
 
 import torch
@@ -20,27 +23,36 @@ from uwaug.blur.kernels import (
     shrink_kernels,
 )
 from uwaug.blur.plan import BlurPlan
-
-_PERIOD_FROM_TAPS = 8
-"""Taps from which on a kernel works in periods. A shorter one is as fast with a window for each px.
-"""
+from uwaug.blur.stack import node_weights
 
 _ROWS, _COLUMNS = 2, 3
 
 
 class Blurs(nn.Module):
-    """Stack of blurs of a plan, in place of `uwaug.blur.stack.blurred`."""
+    """The varying blur of a plan, in place of `uwaug.blur.stack.blurred` and `mixed`."""
 
     def __init__(self, plan: BlurPlan) -> None:
         super().__init__()
-        self.stack = nn.ModuleList()
+        self.plan, self.stack = plan, nn.ModuleList()
         for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):
-            kind = _Fine if cell == 1 else _Coarse if cell <= PERIOD else _Wide
+            kind = _Fine if cell == 1 else _Coarse if cell < PERIOD else _Wide
             self.stack.append(kind(sigma, cell, plan.reach) if sigma else nn.Identity())
 
-    def forward(self, light: Tensor, plan: BlurPlan) -> list[Tensor]:
-        """Blur linear light (Bx3xHxW): K tensors like it."""
-        return [blur(light) for blur in self.stack]
+    def forward(self, light: Tensor, widths: Tensor) -> Tensor:
+        """Blur linear light (Bx3xHxW) at each pixel by its width (Bx1xHxW, px)."""
+        height, row = light.shape[_ROWS], torch.arange(light.shape[_ROWS])
+        # all numbers are positive, as ONNX's division truncates
+        in_order = row % PERIOD * _periods(height) + row // PERIOD
+        terms, mixture = [], []
+        weights = node_weights(_by_phase(widths), self.plan)
+        for share, blur in zip(torch.split(weights, 1, 1), self.stack, strict=True):
+            if isinstance(blur, nn.Identity):
+                terms.append(share.index_select(_ROWS, in_order) * light)
+            else:
+                mixture.append(share * blur(light))
+        if mixture:
+            terms.append(sum(mixture[1:], mixture[0]).index_select(_ROWS, in_order))
+        return sum(terms[1:], terms[0])
 
 
 class _Fine(nn.Module):
@@ -50,16 +62,16 @@ class _Fine(nn.Module):
         super().__init__()
         kernel = blur_kernel(sigma, reach)
         self.radius = kernel.shape[1] // 2
-        phases = 1 if kernel.shape[1] < _PERIOD_FROM_TAPS else PERIOD
-        self.register_buffer("window", _window(torch.arange(phases), kernel.expand(phases, -1)))
+        self.register_buffer("window", _window(torch.arange(PERIOD), kernel.expand(PERIOD, -1)))
+        self.register_buffer("kernel", kernel.to(torch.float32))
 
     def forward(self, x: Tensor) -> Tensor:
-        window = self.get_buffer("window")
-        for axis in (_ROWS, _COLUMNS):
-            size, phases = x.shape[axis], len(window)
-            padded = _folded(x, axis, self.radius, self.radius, phases)
-            x = _strided(padded, window, phases, axis).narrow(axis, 0, size)
-        return x
+        folded, size = _folded(x, _ROWS, self.radius, self.radius, PERIOD), x.shape
+        phases = _convolved(folded, self.get_buffer("window"), PERIOD, _ROWS)
+        # a channel for each phase: sixteen at once are three times as fast as one by one
+        phases = _folded(phases, _COLUMNS, self.radius, self.radius, 1)
+        kernel = self.get_buffer("kernel").repeat(3 * PERIOD, 1)[:, None, None]
+        return _joined(F.conv2d(phases, kernel, groups=3 * PERIOD), size)
 
 
 class _Coarse(nn.Module):
@@ -83,12 +95,12 @@ class _Coarse(nn.Module):
         self.tail = PERIOD * (more - 1) + shrink.shape[1] - self.lead
 
     def forward(self, x: Tensor) -> Tensor:
-        height, width = x.shape[-2:]
+        size = x.shape
         shrink, enlarge = self.get_buffer("shrink"), self.get_buffer("enlarge")
         for axis in (_ROWS, _COLUMNS):
             x = _strided(_folded(x, axis, self.lead, self.tail, PERIOD), shrink, PERIOD, axis)
-        x = _strided(x, enlarge, self.cells, _COLUMNS).narrow(_COLUMNS, 0, width)
-        return _strided(x, enlarge, self.cells, _ROWS).narrow(_ROWS, 0, height)
+        x = _strided(x, enlarge, self.cells, _COLUMNS).narrow(_COLUMNS, 0, size[_COLUMNS])
+        return _joined(_convolved(x, enlarge, self.cells, _ROWS), size)
 
 
 class _Wide(nn.Module):
@@ -112,7 +124,7 @@ class _Wide(nn.Module):
             self._matrices(n) for n in x.shape[-2:]
         )
         x = (shrink_rows @ x) @ shrink_columns.t()
-        return enlarge_rows @ (x @ enlarge_columns.t())
+        return _by_phase(enlarge_rows) @ (x @ enlarge_columns.t())
 
     def _matrices(self, size: int) -> tuple[Tensor, Tensor]:
         """Matrices to the grid (cells, size) and back (size, cells)."""
@@ -143,6 +155,24 @@ def _window(first: Tensor, kernel: Tensor) -> Tensor:
     return rows.scatter_(1, columns, kernel).to(torch.float32)
 
 
+def _periods(size: int) -> int:
+    """Number of periods that cover a size."""
+    return (size + PERIOD - 1) // PERIOD
+
+
+def _by_phase(x: Tensor) -> Tensor:
+    """Rows (second-last axis) in order of phase, folded back in the last period."""
+    height, place = x.shape[-2], torch.arange(PERIOD * _periods(x.shape[-2]))
+    # a tensor, as ONNX has no remainder by a symbolic number
+    periods = torch.full((1,), _periods(height), dtype=torch.int64)
+    return x.index_select(-2, reflect(place % periods * PERIOD + place // periods, height))
+
+
+def _joined(phases: Tensor, size: torch.Size) -> Tensor:
+    """Channels of phases (Bx48xPxW) as rows in order of phase, of a picture of `size`."""
+    return phases.reshape(size[0], 3, PERIOD * _periods(size[_ROWS]), size[_COLUMNS])
+
+
 def _folded(x: Tensor, axis: int, lead: int, tail: int, period: int) -> Tensor:
     """Extend x (BxCxHxW) along an axis by `lead` px before it, and after it up to whole periods and
     `tail` px. It is folded back at the edges.
@@ -150,21 +180,21 @@ def _folded(x: Tensor, axis: int, lead: int, tail: int, period: int) -> Tensor:
     size = x.shape[axis]
     periods = (size + period - 1) // period * period
     px = reflect(torch.arange(-lead, periods + tail), size)
-    if axis == _ROWS:
-        return x.index_select(axis, px)
     # to gather all of a row would copy it value by value
     before, after = px.narrow(0, 0, lead), px.narrow(0, lead + size, periods - size + tail)
     return torch.cat([x.index_select(axis, before), x, x.index_select(axis, after)], axis)
 
 
-def _strided(x: Tensor, window: Tensor, stride: int, axis: int) -> Tensor:
-    """Apply the n kernels of a window (n, taps) at each `stride` of an axis; results alternate."""
-    # one pixel_shuffle for both axes is quicker to trace, but in convolutions of 3·16 groups two
-    # threads wait for each other: 1024² takes 2.3 times as long
+def _convolved(x: Tensor, window: Tensor, stride: int, axis: int) -> Tensor:
+    """Apply the n kernels of a window (n, taps) at each `stride` of an axis: Bx(3·n)x…"""
     n, taps = window.shape
     weights = window.repeat(3, 1).reshape(3 * n, 1, *((taps, 1) if axis == _ROWS else (1, taps)))
-    y = F.conv2d(x, weights, stride=(stride, 1) if axis == _ROWS else (1, stride), groups=3)
-    if n == 1:
-        return y
-    y = torch.unflatten(y, 1, (3, n))
+    return F.conv2d(x, weights, stride=(stride, 1) if axis == _ROWS else (1, stride), groups=3)
+
+
+def _strided(x: Tensor, window: Tensor, stride: int, axis: int) -> Tensor:
+    """The same as Bx3x…: along the axis, results alternate."""
+    # one pixel_shuffle for both axes is quicker to trace, but in convolutions of 3·16 groups two
+    # threads wait for each other: 1024² takes 2.3 times as long
+    y = torch.unflatten(_convolved(x, window, stride, axis), 1, (3, len(window)))
     return y.transpose(2, 3).flatten(2, 3) if axis == _ROWS else y.permute(0, 1, 3, 4, 2).flatten(3)

@@ -15,6 +15,7 @@ from uwaug.blur.plan import BlurPlan
 from uwaug.formation.image import form
 from uwaug.formation.inputs import effective_distance
 from uwaug.formation.underwater import Underwater
+from uwaug.light import Light
 from uwaug.onnx.run import coefficients_of, module_of, read_metadata
 from uwaug.optics.medium import Medium
 
@@ -78,8 +79,6 @@ def check_onnx(
         raise ValueError(f"{path}: onnx.checker refuses it: {first}") from error
     if module is None:
         module = module_of(path, metadata)
-        if module.light is not None:
-            raise ValueError(f"{path}: holds lamps, but not all of their water: give the module")
     takes_coefficients = metadata["uwaug_coefficients"] == "inputs"
     media = [module.medium[i] for i in range(len(module.medium))]
     if takes_coefficients:
@@ -93,17 +92,22 @@ def check_onnx(
         if progress is not None:
             progress(f"checking, case {number + 1} of {len(cases)}")
         # all media in turn, one for each image of a batch
-        rows = [media[(number + i) % len(media)] for i in range(len(case.image))]
-        medium = media[0] if len(media) == 1 else Medium.stack(rows)
+        in_turn = [media[(number + i) % len(media)] for i in range(len(case.image))]
+        medium = media[0] if len(media) == 1 else Medium.stack(in_turn)
         inputs = {"image": case.image, "distance": case.distance}
         if module.development.noise is not None:
             seeded = torch.Generator().manual_seed(number)
             inputs["noise"] = torch.randn(case.image.shape, generator=seeded, dtype=torch.float32)
-        exact = _exact(module, inputs, medium)
+        light = module.light
+        if light is not None and takes_coefficients:
+            light = _varied(light, number, len(case.image))
+        exact = _exact(module, inputs, medium, light)
         change = max(change, float((exact - case.image).abs().max()))
         if takes_coefficients:
             batch = medium.expand(len(case.image))
-            inputs |= {name: torch.from_numpy(x) for name, x in coefficients_of(batch).items()}
+            inputs |= {
+                name: torch.from_numpy(x) for name, x in coefficients_of(batch, light).items()
+            }
         for state, session in sessions.items():
             name = f"{case.name}, optimisations {state}"
             differences.append((_difference(path, session, inputs, exact, name), name))
@@ -126,7 +130,17 @@ def plan_of(module: Underwater) -> BlurPlan:
     return plan
 
 
-def _exact(module: Underwater, inputs: dict[str, Tensor], medium: Medium) -> Tensor:
+def _varied(light: Light, number: int, batch: int) -> Light:
+    """Light of another pitch in each picture, and of lamps half to twice as bright."""
+    factor = 2.0 ** (number % 3 - 1)
+    lamps = tuple(replace(lamp, power=factor * lamp.power) for lamp in light.lamps)
+    pitch = None if light.pitch is None else torch.linspace(-60.0, 60.0, batch + 2)[1:-1]
+    return replace(light, lamps=lamps, pitch=pitch)
+
+
+def _exact(
+    module: Underwater, inputs: dict[str, Tensor], medium: Medium, light: Light | None
+) -> Tensor:
     """Picture of the module in double precision."""
     normals = inputs.get("noise")
     with torch.no_grad():
@@ -136,7 +150,7 @@ def _exact(module: Underwater, inputs: dict[str, Tensor], medium: Medium) -> Ten
             medium.to(torch.float64),
             module.development,
             color_space=module.color_space,
-            light=module.light,
+            light=light,
             plan=plan_of(module),
             normals=None if normals is None else normals.double(),
         )

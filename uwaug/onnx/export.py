@@ -4,9 +4,10 @@ import json
 import logging
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from copy import copy
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,12 @@ from uwaug._support.extras import require
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.demand import SIDES
 from uwaug.formation.image import form
-from uwaug.formation.inputs import effective_distance
 from uwaug.formation.underwater import Underwater
+from uwaug.light import Lamp, Light
 from uwaug.onnx.blurs import Blurs
 from uwaug.onnx.check import check_onnx, plan_of
+from uwaug.onnx.run import INPUTS, OF_LAMPS, coefficients_of
+from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 
@@ -35,20 +38,18 @@ _OPSET = 18
 _TORCH = (2, 13)
 """Oldest release of torch that exports. 2.6 cannot trace free sizes."""
 
-_DOC = {
-    "image": "linear light or sRGB, see uwaug_module; 0…1, red, green, blue",
-    "distance": "metres along the ray, ≥ 0; +inf is open water",
-    "noise": "standard normals, new ones for each picture: what the sensor's noise is made of",
-    "beta": "rates of the direct light, 1/m, ≥ 0",
-    "direct_weights": "weights of T_β for each channel (of spectra: channel, scene's channel)",
-    "G": "rates of signal and veil, 1/m, ≥ 0",
-    "signal_weights": "weights of T_G, as direct_weights",
-    "veil_weights": "weights of V for each channel",
-    "b_mean": "scattering coefficient of the width law, 1/m",
-    "scale": "width of the blur at one scattering length, px of the law",
-    "exponent": "of the width law",
-    "output": "the picture under water, as image",
+_FREE = {
+    "B": "batch",
+    "H": "height",
+    "W": "width",
+    "K": "rates",
+    "L": "scatter_rates",
+    "M": "lamp_rates",
+    "N": "lamp_scatter_rates",
 }
+"""Names of free sizes."""
+
+_log = logging.getLogger(__name__)
 
 
 def export_onnx(
@@ -68,10 +69,11 @@ def export_onnx(
             numbers are written as they stand.
         path: of the file; written whole after `check_onnx` has passed it, or not at all. A symbolic
             link stays, and its target is replaced.
-        coefficients: make the medium's numbers inputs, with a row for each image, see
-            `uwaug.onnx.coefficients_of`. One file then serves every water whose widths lie in the
+        coefficients: make numbers of the medium and the light inputs, with a row for each image,
+            see `uwaug.onnx.coefficients_of`: the pitch, power and color of lamps, but not their
+            places. One file then serves every water whose widths lie in the
             plan: export a module of all of them, `Underwater(Medium.stack(…))`.
-        progress: a function that is told each step, such as `print`.
+        progress: a function that is told each step, such as `print`; None logs one line.
 
     Returns:
         The path.
@@ -91,7 +93,9 @@ def export_onnx(
         wanted = ".".join(map(str, _TORCH))
         raise ImportError(f"to export needs torch ≥ {wanted}, here is {torch.__version__}")
     _require_exportable(module, coefficients)
-    tell = progress or (lambda _: None)
+    if progress is None:
+        _log.warning("uwaug exports %s: half a minute to three", path)
+    tell = progress or _log.debug
     tell("tracing")
     with written_whole(path) as part:
         onnx.save(_model(module, coefficients, tell), part)
@@ -116,19 +120,43 @@ def _require_exportable(module: Underwater, coefficients: bool) -> None:
     if module.medium.snow:
         cure = "export it of medium.with_snow(None)"
         raise ValueError(f"module has marine snow, which no file can draw: {cure}")
-    if module.light is not None and coefficients:
-        raise ValueError("coefficients cannot be inputs of a file with lamps: give one water")
 
 
 @dataclass(frozen=True, eq=False)
-class _InLamplight(Medium):
-    """Medium with itself under lamps, which a trace cannot compute."""
+class _Traced(Medium):
+    """Medium in a graph, with what `under_lamp` changes, which a trace cannot compute."""
 
-    lamplit: Medium | None = None
+    lamplit: Mapping[str, Any] = field(default_factory=dict)
 
     def under_lamp(self) -> Medium:
-        assert self.lamplit is not None
-        return self.lamplit
+        return replace(self, **self.lamplit)
+
+    def _any_at_lens(self, z: Tensor) -> bool:
+        return False  # ONNX has no expm1, by which digits would be kept
+
+
+@dataclass(frozen=True)
+class _TracedLamp(Lamp):
+    """Lamp in a graph, with its light (Bx3) as a tensor."""
+
+    light: Tensor | None = None
+
+    def dyed(self, weights: Tensor) -> Tensor:
+        assert self.light is not None
+        return weights * self.light[..., None]
+
+
+def _traced_light(light: Light | None, sent: Tensor | None, pitch: Tensor | None) -> Light | None:
+    """Light in a graph, of which the light of each lamp (BxPx3) and the pitch (B) are tensors."""
+    if light is None:
+        return None
+    lamps = tuple(
+        _TracedLamp(**{**vars(lamp), "light": None if sent is None else sent[:, place]})
+        for place, lamp in enumerate(light.lamps)
+    )
+    traced = copy(light)  # without checks, which look at values
+    vars(traced).update(lamps=lamps, pitch=pitch)
+    return traced
 
 
 class Graph(nn.Module):
@@ -136,58 +164,61 @@ class Graph(nn.Module):
 
     def __init__(self, module: Underwater, plan: BlurPlan) -> None:
         super().__init__()
-        self.plan, self.blurs = plan, Blurs(plan)
+        self.plan, self.blur = plan, Blurs(plan)
         medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
-        if module.light is not None:
-            values = {field.name: getattr(medium, field.name) for field in fields(medium)}
-            medium = _InLamplight(**values, lamplit=medium.under_lamp())
-        self.medium, self.inputs = medium, tuple(medium.parameters())
-        self.development, self.light = module.development, module.light
+        self.medium, self.development, self.light = medium, module.development, module.light
+        tensors = coefficients_of(medium, self.light).items()
+        self.tensors = {name: torch.from_numpy(row) for name, row in tensors}
         self.color_space = module.color_space
 
     def forward(self, *values: Tensor) -> Tensor:
         """Form a picture from image (Bx3xHxW), distance (Bx1xHxW), noise (Bx3xHxW) if there is a
-        sensor, and the tensors of `Medium.parameters` if they are inputs.
+        sensor, and the tensors of `coefficients_of` if they are inputs.
         """
         image, distance, *coefficients = values
-        medium, normals = self.medium, None
+        normals = None
         if self.development.noise is not None:
             normals, *coefficients = coefficients
+        named: dict[str, Any] = dict(self.tensors)
         if coefficients:
-            named: dict[str, Any] = dict(zip(self.inputs, coefficients, strict=True))
-            law = {name: named.pop(name) for name in PointSpread.NUMBERS}
-            medium = replace(
-                medium, **named, point_spread=replace(medium.point_spread, **law), bands=()
-            )
+            named = dict(zip(self.tensors, coefficients, strict=True))
+        lamplit = {name: named.pop(f"lamp_{name}") for name in OF_LAMPS if "lamp_light" in named}
+        light = _traced_light(self.light, named.pop("lamp_light", None), named.pop("pitch", None))
+        law = replace(
+            self.medium.point_spread,
+            **{name: named.pop(name) for name in PointSpread.NUMBERS if coefficients},
+        )
+        tensors = {name: named[name] for name in Medium.TENSORS}
+        medium = _Traced(**tensors, point_spread=law, lamplit=lamplit)
         return form(
             image,
-            effective_distance(distance, None, torch.float32),
+            distance.clamp(0.0, FARTHEST),
             medium,
             self.development,
             color_space=self.color_space,
-            light=self.light,
+            light=light,
             plan=self.plan,
-            blurs=self.blurs,
+            blur=self.blur,
             normals=normals,
         )
 
 
 def _examples(graph: Graph, coefficients: bool) -> dict[str, tuple[Tensor, dict[int, Any]]]:
     """Inputs of a graph by name: an example, and the names of its free sizes by axis."""
-    names = ("batch", "height", "width", "rates", "scatter_rates")
-    batch, height, width, rates, scatter_rates = (torch.export.Dim(n, min=1) for n in names)
+    dims = {axis: torch.export.Dim(name, min=1) for axis, name in _FREE.items()}
     # torch.export would take a multiple of a period for the rule, and a 1 for fixed
     image = torch.rand(2, 3, 41, 57, dtype=torch.float32)
-    free = {0: batch, 2: height, 3: width}
+    free = {0: dims["B"], 2: dims["H"], 3: dims["W"]}
     examples = {"image": (image, free), "distance": (torch.ones_like(image[:, :1]), free)}
     if graph.development.noise is not None:
         examples["noise"] = torch.randn_like(image), free
-    for name, row in graph.medium[0].parameters().items() if coefficients else ():
-        free, axis = {0: batch}, Medium.TENSORS.get(name, "B")[-1]
-        if axis in "KL":
+    for name, rows in graph.tensors.items() if coefficients else ():
+        row, free = rows[:1], {0: dims["B"]}
+        axis = INPUTS[name].partition(",")[0][-1]
+        if axis in "KLMN":
             # two more rates without weight, as an example of one rate would fix that number
             row = pad(row, (0, 2))
-            free[row.ndim - 1] = rates if axis == "K" else scatter_rates
+            free[row.ndim - 1] = dims[axis]
         examples[name] = (row.expand(2, *row.shape[1:]).clone(), free)
     return examples
 
@@ -223,7 +254,7 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
     model.graph.doc_string = f"{module.medium}; {plan}"
     # names of free sizes; the output has those of the image
     for value in (*model.graph.input, *model.graph.output):
-        value.doc_string = _DOC.get(value.name, f"uwaug.Medium.{value.name}")
+        value.doc_string = INPUTS.get(value.name, "the picture under water, as image")
         dims = value.type.tensor_type.shape.dim
         for axis, size in examples.get(value.name, examples["image"])[1].items():
             dims[axis].dim_param = size.__name__

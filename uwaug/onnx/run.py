@@ -2,20 +2,49 @@
 
 import json
 import os
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug import __version__
 from uwaug._support import checks
 from uwaug._support.codec import from_plain
 from uwaug._support.onnx_session import Session
 from uwaug._support.types import Array
 from uwaug.formation.inputs import validate
 from uwaug.formation.underwater import Underwater
+from uwaug.light import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import as_matrices
+
+OF_LAMPS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights")
+"""Tensors of `Medium.under_lamp` that are inputs of a file with lamps, named lamp_…"""
+
+INPUTS = {
+    "image": "Bx3xHxW, linear light or sRGB, see uwaug_module; 0…1, red, green, blue",
+    "distance": "Bx1xHxW, metres along the ray, ≥ 0; +inf is open water",
+    "noise": "Bx3xHxW, standard normals, new for each picture: of these the sensor's noise is made",
+    "beta": "BxK, rates of the direct light, 1/m, ≥ 0",
+    "direct_weights": "Bx3xK, weights of T_β for each channel (spectra: channel, scene's channel)",
+    "G": "BxL, rates of signal and veil, 1/m, ≥ 0",
+    "signal_weights": "Bx3xL, weights of T_G, as direct_weights",
+    "veil_weights": "Bx3xL, weights of V for each channel",
+    "b_mean": "B, scattering coefficient of the width law, 1/m",
+    "scale": "B, width of the blur at one scattering length, px of the law's reference size",
+    "exponent": "B, of the width law",
+    "lamp_beta": "BxM, rates of the direct light of lamps, 1/m, ≥ 0",
+    "lamp_direct_weights": "Bx3xM, its weights, as direct_weights",
+    "lamp_G": "BxN, rates of the signal and fog of lamps, 1/m, ≥ 0",
+    "lamp_signal_weights": "Bx3xN, weights of the signal, as direct_weights",
+    "lamp_veil_weights": "Bx3xN, weights of the fog, 1/m",
+    "lamp_light": "BxPx3, power times color of each of the P lamps; 0 puts one out",
+    "pitch": "B, angle of the camera's axis above the horizon, degrees, -90…90",
+}
+"""Inputs of files: shape, meaning and unit. B pictures, K, L, M and N rates."""
 
 Picture = TypeVar("Picture", Tensor, Array)
 
@@ -49,14 +78,36 @@ def module_of(path: str | os.PathLike[str], metadata: dict[str, str]) -> Underwa
         raise ValueError(f"{path}: its metadata are damaged ({cause})") from error
 
 
-def coefficients_of(medium: Medium) -> dict[str, Array]:
-    """Numbers of a medium by name, for a file exported with `coefficients=True`: float32, a row for
-    each medium, shapes as `Medium.parameters`. The numbers of rates K and L are free.
+def coefficients_of(medium: Medium, light: Light | None = None) -> dict[str, Array]:
+    """Numbers of a medium, and of a light in it, by name, for a file exported with
+    `coefficients=True`: float32, a row for each medium, shapes as `INPUTS` says. The numbers of
+    rates are free.
     """
+    tensors = medium.parameters()
+    if light is not None and light.lamps:
+        water = medium.under_lamp()
+        tensors |= {f"lamp_{name}": getattr(water, name) for name in OF_LAMPS}
+        sent = torch.tensor([[lamp.power * part for part in lamp.color] for lamp in light.lamps])
+        tensors["lamp_light"] = sent.expand(len(medium), -1, -1)
+    if light is not None and light.pitch is not None:
+        pitch = torch.as_tensor(light.pitch).reshape(-1)
+        tensors["pitch"] = pitch if len(pitch) > 1 else pitch.expand(len(medium))
     return {
         name: np.ascontiguousarray(value.detach().to("cpu", torch.float32).numpy())
-        for name, value in medium.parameters().items()
+        for name, value in tensors.items()
     }
+
+
+def input_rows(media: Mapping[str, Medium], light: Light | None = None) -> dict[str, Any]:
+    """Rows of named media, for JSON that another language feeds into a file: `waters` by name, each
+    with its `coefficients_of`, and the meaning and unit of each of these `inputs`.
+    """
+    rows = {
+        name: {key: value.tolist() for key, value in coefficients_of(medium, light).items()}
+        for name, medium in media.items()
+    }
+    names = {key: INPUTS[key] for row in rows.values() for key in row}
+    return {"uwaug_version": __version__, "inputs": names, "waters": rows}
 
 
 class OnnxUnderwater:
@@ -82,20 +133,27 @@ class OnnxUnderwater:
     def __repr__(self) -> str:
         return f"OnnxUnderwater({str(self.session.path)!r}: {self.module.medium})"
 
-    def __call__(self, image: Picture, distance: Any, medium: Medium | None = None) -> Picture:
+    def __call__(
+        self,
+        image: Picture,
+        distance: Any,
+        medium: Medium | None = None,
+        light: Light | None = None,
+    ) -> Picture:
         """Degrade an image.
 
         Args:
             image (Bx3xHxW or 3xHxW tensor or array): floating point, in the module's color space.
             distance (Bx1xHxW or 1xHxW tensor or array): metres, ≥ 0; +inf is open water.
             medium: one, or one for each image; only for a file with coefficients as inputs.
+            light: another pitch, and other powers and colors of the file's lamps; likewise.
 
         Returns:
             The picture in float32: a tensor or an array, as the image.
 
         Raises:
             TypeError, ValueError: as `Underwater` would; and if a medium is lacking, or given to a
-                file that takes none.
+                file that takes none; or if a light is no variant of the file's.
         """
         pictures, maps = map(_tensor, (image, distance))
         checks.floating("image", pictures)
@@ -103,7 +161,7 @@ class OnnxUnderwater:
         validate(pictures, maps, medium or module.medium[0], color_space=module.color_space)
         rows = {"image": pictures, "distance": maps}
         rows = {name: x.float() if x.ndim == 4 else x[None].float() for name, x in rows.items()}
-        rows |= self._coefficients(medium)
+        rows |= self._coefficients(medium, light)
         # batches are 1 or of one common size; if that is 0, the result is empty
         sizes = {len(row) for row in rows.values()}
         batch = 0 if 0 in sizes else max(sizes)
@@ -118,25 +176,40 @@ class OnnxUnderwater:
             result = result[0]
         return result if isinstance(image, Tensor) else result.numpy()
 
-    def _coefficients(self, medium: Medium | None) -> dict[str, Tensor]:
-        """Check a medium, and return its numbers as the file takes them."""
+    def _coefficients(self, medium: Medium | None, light: Light | None) -> dict[str, Tensor]:
+        """Check medium and light, and return their numbers as the file takes them."""
         if (medium is not None) != (self.metadata["uwaug_coefficients"] == "inputs"):
             verb = "needs one" if medium is None else "takes none: export with coefficients=True"
             raise ValueError(f"medium: the file {verb}")
         if medium is None:
+            if light is not None:
+                raise ValueError("light: the file takes none: export with coefficients=True")
             return {}
+        if light is not None and _geometry(light) != _geometry(self.module.light):
+            kind = f"lamps of other power and color, and another pitch, in {self.module.light}"
+            raise ValueError(f"light: the file takes {kind}; got {light}")
         law, wanted = medium.point_spread, self.module.medium.point_spread
         if (law.shape, law.reference_size) != (wanted.shape, wanted.reference_size):
             kind = f"shape {wanted.shape!r} and reference_size {wanted.reference_size}"
             raise ValueError(f"medium: its point spread is {law}, but the file is for {kind}")
-        rows = {name: torch.from_numpy(x) for name, x in coefficients_of(medium).items()}
+        numbers = coefficients_of(medium, light or self.module.light)
+        rows = {name: torch.from_numpy(x) for name, x in numbers.items()}
         if self.module.medium.is_spectral:
-            of_scene = (name for name, axes in Medium.TENSORS.items() if "S" in axes)
+            of_scene = [name for name, axes in Medium.TENSORS.items() if "S" in axes]
+            of_scene += [f"lamp_{name}" for name in of_scene if "lamp_light" in rows]
             rows |= {name: as_matrices(rows[name]) for name in of_scene}
         elif medium.is_spectral:
             got = "the file is for grey surfaces, got a medium of surfaces with spectra"
             raise ValueError(f"medium: {got}")
         return rows
+
+
+def _geometry(light: Light | None) -> Any:
+    """What of a light is no input of a file."""
+    if light is None:
+        return None
+    lamps = tuple(replace(lamp, power=1.0, color=(1.0, 1.0, 1.0)) for lamp in light.lamps)
+    return lamps, light.daylight, light.view, light.pitch is None
 
 
 def _tensor(value: Any) -> Any:

@@ -164,6 +164,13 @@ def decay(rates: Tensor, z: Tensor) -> Tensor:
     return (rates * -_LOG2E * z).exp2_()  # four times as fast as exp
 
 
+def raised(x: Tensor, exponent: float | Tensor) -> Tensor:
+    """x^exponent, of x > 0."""
+    if torch.compiler.is_compiling():
+        return torch.exp(torch.log(x) * exponent)  # half of ONNX Runtime's time for a power
+    return x**exponent
+
+
 def cancels(rate: Tensor, z: Tensor) -> bool:
     """True if 1 − e^(−rate·z) would lose digits anywhere, so that `expm1` is needed."""
     return bool((rate * z <= _MIN_DEPTH).any())

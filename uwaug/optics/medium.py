@@ -326,7 +326,7 @@ class Medium:
 
     def expand(self, rows: int) -> "Medium":
         """One medium as a batch of `rows` equal ones; a batch stays as it is."""
-        if len(self) != 1 or rows == 1:
+        if rows == 1 or len(self) != 1:  # in a graph their number is unknown
             return self
         wide = self.map(lambda t: t.expand(rows, *t.shape[1:]))
         rest = {name: getattr(self, name) * rows for name in ("notes", "bands", "snow")}

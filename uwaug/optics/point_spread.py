@@ -11,6 +11,7 @@ from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug._support.codec import plain
 from uwaug._support.types import Shape
+from uwaug.optics.curves import raised
 
 PAPER_SIZE = 518
 """Short side of the paper's pictures, px."""
@@ -187,7 +188,8 @@ def width_at(lengths: Any, scale: float | Tensor, exponent: float | Tensor) -> A
     """scale·lengths^exponent, of tensors or arrays whose shapes broadcast."""
     x = lengths.clip(*LENGTHS)
     if isinstance(exponent, Tensor) or exponent != 1:
-        x = x**exponent  # ONNX Runtime would compute x^1
+        # ONNX Runtime would compute x^1
+        x = raised(x, exponent)
     return scale * x
 
 

@@ -1,5 +1,6 @@
 """`MarineSnow`: particles in the water that a camera sees one by one."""
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,14 +22,16 @@ SIZES = (50e-6, 5e-3)
 """Smallest and largest diameter, m. The water's b stands for smaller particles."""
 
 _MIN_ANGLE = 1e-3
-"""Smallest diameter over distance that is drawn, .4 px of a view of 60° that is 512 px wide."""
+"""Smallest diameter over distance that is drawn, .4 px of a view of 60° that is 512 px wide; in
+views of more than that square in as many px of theirs, so that particles do not become more.
+"""
 
 _NEAREST_M = 0.05
 """Smallest distance along the axis. Nearer is the port of the camera's housing."""
 
-_VIEW_MARGIN = 1.1
-"""Size of the region with particles, in views: a particle that is out of focus may be partly in the
-picture.
+_MARGIN = 0.06
+"""Tangent beyond the edges of a view, to where there are particles: those that are near and out of
+focus may be partly in the picture.
 """
 
 
@@ -59,7 +62,8 @@ class MarineSnow(Seeded):
     """Particles in the water before a camera, by a seed.
 
     Their number falls with the third power of the diameter, n(d) ∝ d^−3, from 50 µm to 5 mm. Every
-    metre of distance then has as many particles of an apparent size d/z.
+    metre of distance then has as many particles of an apparent size d/z. Each has a place in the
+    water, which moves before the camera, or the camera in it.
 
     Attributes:
         density: particles of .5 mm and more in a cubic metre, 1…100 000; in
@@ -68,10 +72,10 @@ class MarineSnow(Seeded):
             others, evenly spread, send less, as aggregates are translucent.
         aperture: focal length of the lens over its f-number, m.
         focus: distance at which the lens is sharp, m.
-        seed: a whole number from 0 to 2^32 − 1, for the same snow in all pictures, of any size;
-            None for new snow each time. Pictures that are drawn record their own.
-        drift: distance by which the particles have moved to the right, m. Those that leave the view
-            come back on its other side.
+        seed: a whole number from 0 to 2^32 − 1, for the same snow in all pictures of a shape, of
+            any size; None for new snow each time. Pictures that are drawn record their own.
+        drift: distances by which the particles have moved to the right, down and away from the
+            camera, m: less its own motion. New ones enter at the side.
 
     Raises:
         TypeError, ValueError: if a value is no number, or outside its domain.
@@ -88,7 +92,7 @@ class MarineSnow(Seeded):
     aperture: float = 3e-3
     focus: float = 1.5
     seed: int | None = None
-    drift: float = 0.0
+    drift: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         as_range("snow: density", self.density, 1.0, 1e5)
@@ -97,7 +101,7 @@ class MarineSnow(Seeded):
         checks.positive("snow: focus", self.focus)
         if self.seed is not None:
             require_seed("snow: seed", self.seed)
-        checks.within("snow: drift", self.drift)
+        object.__setattr__(self, "drift", checks.vector("snow: drift", self.drift))
 
     def particles(self, right: float, down: float) -> Particles:
         """Draw the particles that a camera may see.
@@ -105,23 +109,24 @@ class MarineSnow(Seeded):
         Args:
             right, down: tangents of the angles from the middle of the view to its edges.
         """
-        half = _VIEW_MARGIN * max(right, down)
-        farthest = SIZES[1] / _MIN_ANGLE
-        # N(> d) is density·(COUNTED/d)², and a metre of the view at z has (2 half·z)² m³
+        angle = _MIN_ANGLE * max(1.0, math.sqrt(3 * right * down))  # 1/√3 is tan 30°
+        # A particle is drawn up to a distance s = d/angle. It lives in a box of water of its own, s
+        # long and 2s·right × 2s·down wide, beyond which it comes again: as new, out of sight.
+        # There are density·(COUNTED/angle)²·2·s^−3·ds in a cubic metre, so as many for each ds.
+        edges = np.array([[right], [down]]) + _MARGIN
         assert not isinstance(self.density, tuple)  # see `Medium.with_snow`
-        per_metre = self.density * (COUNTED / _MIN_ANGLE * 2 * half) ** 2
-        count = round(per_metre * farthest)
+        shortest, longest = SIZES[0] / angle, SIZES[1] / angle
+        per_metre = self.density * (COUNTED / angle) ** 2 * 8 * edges.prod()
         seed = int(torch.randint(SEEDS, ())) if self.seed is None else self.seed
-        shares = np.random.default_rng(seed).random((count, 7)).T
-        x, y, z, share, stretch, turn, brightness = shares
-        z = z * farthest
-        diameter = _MIN_ANGLE * z / np.sqrt(1 - share)
-        x, y = (2 * x - 1) * half, (2 * y - 1) * half
-        visible = (z > _NEAREST_M) & (diameter > SIZES[0]) & (diameter < SIZES[1])
-        x = (x + self.drift / z.clip(_NEAREST_M) + half) % (2 * half) - half
-        visible &= (np.abs(x) < _VIEW_MARGIN * right) & (np.abs(y) < _VIEW_MARGIN * down)
-        rest = np.sqrt(1 + stretch), np.pi * turn, brightness
-        return Particles(*(values[visible] for values in (x, y, z, diameter, *rest)))
+        shares = np.random.default_rng(seed).random((round(per_metre * (longest - shortest)), 7)).T
+        s = shortest + shares[3] * (longest - shortest)
+        box = np.stack([*2 * edges * s, s])
+        places = (shares[:3] + np.array(self.drift)[:, None] / box) % 1
+        x, y, z = (places - [[0.5], [0.5], [0.0]]) * box
+        visible = (z > _NEAREST_M) & (np.abs([x, y]) < edges * z).all(0)
+        columns = *shares[4:], angle * s, x, y, z
+        stretch, turn, brightness, diameter, x, y, z = np.stack(columns)[:, visible]
+        return Particles(x / z, y / z, z, diameter, np.sqrt(1 + stretch), np.pi * turn, brightness)
 
     def blur(self, z: Array) -> Array:
         """Diameters of the circles of confusion, as tangents, of points at distances z, m."""

@@ -43,7 +43,7 @@ def augment(
     (image, distance, …) or a dict of both, and draws from torch's global generator.
 
     Args:
-        name: one of `systems`.
+        name: see `system`.
         keys: keys of image and distance (metres) in a dict.
         options: arguments of the system, such as `water`.
 

@@ -31,6 +31,17 @@ _PIXELS_AT_ONCE = 4096
 FUNCTIONS: dict[str, Callable[..., Tensor]] = {}
 """Published systems by the names of their functions."""
 
+OTHER_NAMES = {
+    "Jaffe-McGlamery": "jaffe-1990",
+    "SUID": "hou-2020",
+    "UWCNN": "li-2020",
+    "RUIG": "desai-2021",
+    "RSUIGM": "desai-2024",
+    "STSR": "ismiroglou-2025",
+    "SLURPP": "slurpp-2025",
+}
+"""Systems by the names that they, their data or their code go by."""
+
 
 def published(color_space: ColorSpace) -> Callable[[Equation], Equation]:
     """Make a system of an equation between light (Bx3xHxW) and distance (Bx1xHxW): a function of
@@ -79,12 +90,15 @@ def systems() -> list[str]:
 
 
 def system(name: str) -> Callable[..., Tensor]:
-    """Function of a published system, by its name.
+    """Function of a published system, by its name, or by another that it goes by: "UWCNN" is
+    "li-2020".
 
     Raises:
         ValueError: if the name is unknown; lists all names.
     """
-    checks.one_of("system", name, systems())
+    own = {other.lower(): name for other, name in OTHER_NAMES.items()}
+    name = own.get(name.lower(), name)
+    checks.one_of("system", name, (*systems(), *OTHER_NAMES))
     return FUNCTIONS[name.replace("-", "_")]
 
 
@@ -92,7 +106,7 @@ def picture(name: str, image: Tensor, z: Tensor, water: AnyWater = "II") -> Tens
     """Picture that a published system makes in a water.
 
     Args:
-        name: one of `systems`.
+        name: see `system`.
         image, z: as for all systems.
         water: argument of `uwaug.load_water`. "li-2020" and "slurpp-2025" know the ten Jerlov types
             alone, and "hou-2020" has one water, whatever is given.

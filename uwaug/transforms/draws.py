@@ -22,6 +22,7 @@ class Draw(NamedTuple):
         water, distance, light, development: the draw of each noun.
         measured: attributes of `Measured` that one frame of a film settles for all of them.
         moved: m by which field and snow of a film have drifted to the right.
+        motion: m by which its camera has moved to the right, down and forward.
     """
 
     applied: bool
@@ -31,6 +32,13 @@ class Draw(NamedTuple):
     development: Drawn
     measured: Mapping[str, Any] = {}
     moved: float = 0.0
+    motion: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def passed(self) -> tuple[float, float, float]:
+        """How far the water has moved (m) to the right, down and away, as the camera sees it."""
+        right, down, forward = self.motion
+        return self.moved - right, -down, -forward
 
 
 def uniform_of(seed: int) -> Uniform:
@@ -66,6 +74,7 @@ def read_draws(record: Any, count: int, nouns: Mapping[str, Noun]) -> list[Draw]
         for name, noun in nouns.items():
             noun.require(sample[name], name)
         checks.within("params: moved", sample.get("moved", 0.0))
+        checks.vector("params: motion", sample.get("motion", (0.0, 0.0, 0.0)))
         _require_measured(sample.get("measured", {}))
     draws = [Draw(**sample) for sample in samples]
     return draws if len(draws) == count else draws * count

@@ -27,7 +27,8 @@ class Measured(NamedTuple):
         lamps: True if lamps stand at places in metres: then no scene may be scaled.
         exposure: stops on which a meter has settled, for all frames of a film; None: to be metered.
         white_balance: factors of red, green and blue, likewise.
-        moved: m by which field and snow of a film have drifted to the right.
+        moved: m by which the water of a film has moved to the right, down and away, as the camera
+            sees it.
     """
 
     width: int
@@ -40,11 +41,11 @@ class Measured(NamedTuple):
     lamps: bool = False
     exposure: float | None = None
     white_balance: tuple[float, float, float] | None = None
-    moved: float = 0.0
+    moved: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def of_film(self, settled: Mapping[str, Any], moved: float) -> "Measured":
+    def of_film(self, settled: Mapping[str, Any], moved: tuple[float, float, float]) -> "Measured":
         """The same picture, with what is settled once for all frames of its film."""
-        if not settled and not moved:
+        if not settled and not any(moved):
             return self
         balance = settled.get("white_balance")  # a list, as JSON holds it
         attributes = {**settled, "white_balance": balance and tuple(balance)}
@@ -55,10 +56,11 @@ class Measured(NamedTuple):
         if scale == 1:
             return self
         lengths = {name: getattr(self, name) * scale for name in _LENGTHS}
-        return self._replace(**lengths)
+        right, down, away = self.moved
+        return self._replace(**lengths, moved=(right * scale, down * scale, away * scale))
 
 
-_LENGTHS = ("nearest", "farthest", "median", "moved")
+_LENGTHS = ("nearest", "farthest", "median")
 
 
 def measure(pictures: Tensor, metres: Tensor, *, metered: bool, lamps: bool) -> list[Measured]:

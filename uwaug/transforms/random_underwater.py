@@ -289,8 +289,9 @@ class RandomUnderwater(SampleTransform):
 
         Returns:
             A record with a sample for each of these frames, with what was "measured" once for all.
-            Its "moved", m, is 0: how far field and snow have drifted to the right at a frame. Set
-            it to m/s times seconds. The sensor's noise is each frame's own.
+            Set at each frame how far, in m, field and snow have drifted to the right ("moved"), and
+            the camera has moved to the right, down and forward ("motion"); all are 0. The sensor's
+            noise is each frame's own.
         """
         frames = pictures_of(image)
         if len(frames) > 1 and isinstance(self.distance, MadeUp):
@@ -302,7 +303,7 @@ class RandomUnderwater(SampleTransform):
         (sample,) = params["samples"]
         if not scenes.chosen:
             return {"samples": [sample]}
-        sample = {**sample, "measured": scenes.settled(), "moved": 0.0}
+        sample = {**sample, "measured": scenes.settled(), "moved": 0.0, "motion": (0.0, 0.0, 0.0)}
         return {"samples": [of_frame(sample, number) for number in range(len(frames))]}
 
     @uncompiled

@@ -110,6 +110,7 @@ class PictureWater(NamedTuple):
 
     medium: Medium
     scale: float  # factor of all distances
+    vertical_depth: float | None  # m; None of a medium
     reached: Reached | None  # None if no contrast was asked for
 
 
@@ -176,7 +177,7 @@ class RandomWater(Noun):
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = number((0.07, 0.45), 1e-3, 1.0, logarithmic=True)
+    contrast: Range | None = number((0.07, 0.4), 1e-3, 1.0, logarithmic=True)
     contrast_by: Knob | None = None
     mixing: Range = number(0.0, *DOMAIN["mixing"])
     vertical_depth: Range = number((1.0, 15.0), *DOMAIN["vertical_depth"])
@@ -185,7 +186,7 @@ class RandomWater(Noun):
     point_spread: PointSpread | None = None
     field: tuple[float, float] | None = (0.8, 1.2)
     camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)"
-    color_matrix: Range | None = number((0.0, 0.9), *DOMAIN["color_matrix"])
+    color_matrix: Range | None = number((0.0, 0.8), *DOMAIN["color_matrix"])
     snow: MarineSnow | None = None
 
     names: Sequence[str] = derived(init=False, repr=False)
@@ -270,7 +271,7 @@ class RandomWater(Noun):
         first = draw["waters"][0]
         fixed = self.by_name.get(first) if isinstance(first, str) else None
         if isinstance(fixed, Medium):
-            return PictureWater(self._with_snow(fixed, draw, measured), 1.0, None)
+            return PictureWater(self._with_snow(fixed, draw, measured), 1.0, None, None)
         water, *second = map(self._spectra, draw["waters"])
         if second:
             water = water.mix(second[0], draw["mixing"])
@@ -293,8 +294,8 @@ class RandomWater(Noun):
         surfaces = "color_matrix" in draw, draw.get("color_matrix", 1.0)
         tolerance = _CURVES * daylight  # errors, too, are brought up by an exposure
         options = (depth, draw["g"], self._mu(draw), law, *surfaces, tolerance)
-        medium = self._medium(water, options)
-        return PictureWater(self._with_snow(medium, draw, measured.scaled(scale)), scale, reached)
+        medium = self._with_snow(self._medium(water, options), draw, measured.scaled(scale))
+        return PictureWater(medium, scale, depth, reached)
 
     def fields(self, draws: Sequence[Draw], measured: Sequence[Measured], like: Tensor) -> Tensor:
         """The medium field (Bx1xHxW) of each picture, of the height, width and type of `like`; 1 in
@@ -303,7 +304,8 @@ class RandomWater(Noun):
         if self.field is None:
             return like.new_ones(())
         # in px of the view that the width law takes the picture for
-        moved = [FOCAL_LENGTH * m.width * m.moved / m.median for m in measured]
+        scales = [FOCAL_LENGTH * m.width / m.median for m in measured]
+        moved = [(k * m.moved[0], k * m.moved[1]) for k, m in zip(scales, measured, strict=True)]
         seeds = [draw.water["field_seed"] for draw in draws]
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
 
@@ -321,7 +323,8 @@ class RandomWater(Noun):
         if self.snow is None:
             return medium
         snow = self.snow.of(draw["snow"])
-        return medium.with_snow(replace(snow, drift=snow.drift + measured.moved))
+        x, y, z = (own + way for own, way in zip(snow.drift, measured.moved, strict=True))
+        return medium.with_snow(replace(snow, drift=(x, y, z)))
 
     def _mu(self, draw: Drawn) -> float:
         """μ; of a range no more than g, as no veil is brighter than a white plate."""

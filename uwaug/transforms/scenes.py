@@ -26,6 +26,7 @@ from uwaug.transforms.draws import Draw
 from uwaug.transforms.measured import Measured, measure
 from uwaug.transforms.random_water import RandomWater, Reached
 from uwaug.transforms.samples import maps_for, naming, typed
+from uwaug.transforms.truth import Truth, truth_of
 
 _WHOLE_MAPS = Metres()
 """The source whose maps are used as they come, if they measure like metres without holes."""
@@ -42,6 +43,7 @@ class Setting(NamedTuple):
         light: lamps; None for daylight.
         development: what the camera does.
         scale: factor of all distances.
+        vertical_depth: m; None of a `Medium`.
         reached: the contrast and what it took; None if no contrast was asked for.
         span: nearest, median and farthest effective distance, m.
     """
@@ -50,6 +52,7 @@ class Setting(NamedTuple):
     light: Light | None
     development: Development
     scale: float
+    vertical_depth: float | None
     reached: Reached | None
     span: tuple[float, float, float]
 
@@ -86,7 +89,7 @@ class Scenes(NamedTuple):
             index = torch.tensor(self.chosen).to(pictures.device)
         for setting in self.settings:
             _warn_if_blank(setting)
-        media, lights, developments, _, _, spans = zip(*self.settings, strict=True)
+        media, lights, developments, _, _, _, spans = zip(*self.settings, strict=True)
         with checks.full_precision(pictures):
             result = form_each(
                 pictures if index is None else pictures[index],
@@ -120,6 +123,17 @@ class Scenes(NamedTuple):
         """The contrast of one of the pictures and what it took, if it asked for one."""
         settings = dict(zip(self.chosen, self.settings, strict=True))
         return settings[picture].reached if picture in settings else None
+
+    def truth(self, picture: int = 0) -> Truth | None:
+        """What water and camera did to one of the pictures; None if it is left alone."""
+        if picture not in self.chosen:
+            return None
+        i = list(self.chosen).index(picture)
+        image, setting = self.pictures[picture, None], self.settings[i]
+        camera = setting.medium, setting.light, setting.development, setting.vertical_depth
+        with checks.full_precision(image):
+            J = decoded(image, self.color_space).to(self.z.dtype)
+            return truth_of(J, self.z[i, None], self.metres[i, None], *camera)
 
     def settled(self) -> dict[str, Any]:
         """Median distance, exposure and white balance of this one picture, for all frames of its
@@ -173,7 +187,7 @@ def scenes_of(
             with naming(i, len(pictures)):
                 if not (measured.darkest >= 0 and measured.brightest <= 1):
                     require_values(pictures[i], space)
-                of_films.append(measured.of_film(draw.measured, draw.moved))
+                of_films.append(measured.of_film(draw.measured, draw.passed))
                 settings.append(_setting(draw, measured, of_films[-1], nouns))
         metres = metres.double() if pictures.dtype == torch.float64 else metres
         scales = [setting.scale for setting in settings]
@@ -194,7 +208,7 @@ def _setting(
     itself, and as its film has it.
     """
     water: RandomWater = nouns["water"]
-    medium, scale, reached = water.of(draw.water, of_film)
+    medium, scale, vertical_depth, reached = water.of(draw.water, of_film)
     scaled = of_film.scaled(scale)
     light = nouns["light"].of(draw.light, scaled)
     development = nouns["development"].of(draw.development, scaled)
@@ -202,7 +216,7 @@ def _setting(
     nearest = scale * thin * measured.nearest
     farthest = scale * dense * measured.farthest
     span = nearest, scale * measured.median, farthest
-    return Setting(medium, light, development, scale, reached, span)
+    return Setting(medium, light, development, scale, vertical_depth, reached, span)
 
 
 def _metres_of(

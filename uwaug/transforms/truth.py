@@ -1,0 +1,143 @@
+"""What water and camera did to a picture, in linear light: the truth for restoration."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwaug.formation.development import Development, exposed
+from uwaug.formation.image import terms_of
+from uwaug.light import Light
+from uwaug.optics.curves import passed
+from uwaug.optics.medium import Medium
+
+_RATES = (1e-3, 30.0)
+"""1/m: ends of the rates of water by `Coefficients`."""
+
+_GRID, _ZOOMS, _PIXELS = 17, 4, 4096
+
+Shape = Callable[[Tensor], Tensor]
+"""Function of the optical depth."""
+
+
+MAPS = ("clean", "z", "transmission", "signal", "veil")
+"""Maps of a `Truth`."""
+
+
+class Coefficients(NamedTuple):
+    """A picture's water in the words of Akkaynak and Treibitz (2018), a number a channel:
+
+        gain·(ambient·J·e^(−beta_d·z) + b_inf·(1 − e^(−beta_b·z)))
+
+    Light that reaches the camera is a sum of exponentials of distance, part of it blurred; these
+    are the nearest single ones, by least squares over the picture.
+
+    Attributes:
+        beta_d, beta_b: attenuation of the scene's light, and of the veil, 1/m.
+        b_inf: veil of endless water; 1 is a white plate at the surface.
+        ambient: light at depth on a white plate, relative to the surface.
+        rmse: error of the picture in linear light that these coefficients leave.
+    """
+
+    beta_d: list[float]
+    beta_b: list[float]
+    b_inf: list[float]
+    ambient: list[float]
+    rmse: float
+
+
+class Truth(NamedTuple):
+    """What water and camera did to a picture. In linear light the degraded picture is
+
+        gain @ (signal + veil)
+
+    and its development's gamut, tone and noise on top of that.
+
+    Attributes:
+        clean (3xHxW): the scene J without water.
+        z (1xHxW): effective distance, m: scaled, without holes, times the medium field.
+        transmission (3xHxW): share of the surface's light that arrives from a white scene, direct
+            or scattered forward.
+        signal (3xHxW): light that arrives from the scene: J times transmission, and blurred.
+        veil (3xHxW): backscattered light.
+        gain (3x3): matrix of the camera: exposure, white balance and saturation.
+        vertical_depth: m; None of a `Medium`.
+        coefficients: the nearest water of single exponentials.
+    """
+
+    clean: Tensor
+    z: Tensor
+    transmission: Tensor
+    signal: Tensor
+    veil: Tensor
+    gain: Tensor
+    vertical_depth: float | None
+    coefficients: Coefficients
+
+    def record(self) -> dict[str, Any]:
+        """All but the maps, as JSON holds it."""
+        return {
+            "gain": self.gain.tolist(),
+            "vertical_depth": self.vertical_depth,
+            "coefficients": self.coefficients._asdict(),
+        }
+
+
+def truth_of(
+    J: Tensor,
+    z: Tensor,
+    metres: Tensor,
+    medium: Medium,
+    light: Light | None,
+    development: Development,
+    vertical_depth: float | None,
+) -> Truth:
+    """The truth of one picture.
+
+    Args:
+        J (1x3xHxW tensor): linear light of the scene.
+        z, metres (1x1xHxW tensors): distances with the medium field and without, m.
+        medium, light, development: of this picture.
+        vertical_depth: m, or None.
+    """
+    T, terms, gain = terms_of(J, z, medium.to(z), development, light=light, metres=metres)
+    direct, forward, *added = terms.values()
+    signal, veil = direct + forward, sum(added[1:], added[0])
+    arriving = passed(T.direct + T.scatter, z.new_ones(1, 3, 1, 1)).expand_as(J)
+    matrix = gain if gain.ndim == 3 else torch.diag_embed(gain.expand(1, 3))
+    beta_d, ambient = _nearest(z, J, signal, lambda x: torch.exp(-x))
+    beta_b, b_inf = _nearest(z, torch.ones_like(J), veil, lambda x: -torch.expm1(-x))
+    flat = z.flatten(2)
+    rebuilt = ambient * J.flatten(2) * torch.exp(-beta_d * flat)
+    rebuilt = rebuilt - b_inf * torch.expm1(-beta_b * flat)
+    error = exposed((rebuilt - (signal + veil).flatten(2))[..., None], gain.double())
+    rmse = float(error.square().mean().sqrt())
+    numbers = {"beta_d": beta_d, "beta_b": beta_b, "b_inf": b_inf, "ambient": ambient}
+    of_channels: dict[str, list[float]] = {k: x.flatten().tolist() for k, x in numbers.items()}
+    coefficients = Coefficients(**of_channels, rmse=rmse)
+    maps = J[0], z[0], arriving[0], signal[0], veil[0], matrix[0]
+    return Truth(*maps, vertical_depth, coefficients)
+
+
+def _nearest(z: Tensor, weights: Tensor, light: Tensor, shape: Shape) -> tuple[Tensor, Tensor]:
+    """Rates and amplitudes (1x3x1) of the nearest amplitude·weights·shape(rate·z) to light
+    (1x3xHxW), by some of the pixels. For each rate, the best amplitude is linear.
+    """
+    step = z.numel() // _PIXELS | 1  # odd: not the same columns of every row
+    x, w, y = (map.flatten(2)[:, :, None, ::step].double() for map in (z, weights, light))
+
+    def explained(rates: Tensor) -> tuple[Tensor, Tensor]:
+        column = w * shape(rates[..., None] * x)
+        product, power = (column * y).sum(-1), column.square().sum(-1)
+        amplitude = product / power.clamp(min=torch.finfo(x.dtype).tiny)
+        return amplitude, amplitude * product  # of squares
+
+    low, high = (x.new_full((1, 3, 1), end).log() for end in _RATES)
+    shares = torch.linspace(0, 1, _GRID, dtype=x.dtype, device=x.device)
+    for _ in range(_ZOOMS):
+        rates = (low + (high - low) * shares).exp()
+        best = explained(rates)[1].argmax(-1, keepdim=True)
+        low, high = (rates.gather(-1, (best + k).clamp(0, _GRID - 1)).log() for k in (-1, 1))
+    rate = rates.gather(-1, best)
+    return rate, explained(rate)[0]
