@@ -5,10 +5,12 @@ from functools import cached_property
 from pathlib import Path
 
 import torch
+from PIL import ImageColor
 from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.codec import plain
+from uwaug._support.types import ColorSpace
 from uwaug.distance.sources import Metres
 from uwaug.files.items import Item
 from uwaug.files.pictures import metres_of, read_distance, read_picture, write_picture
@@ -42,6 +44,7 @@ class Recipe:
         motion: motion of its camera to the right, down and forward, m a frame; or, as "12px", to
             the right, by which what is at the median distance moves so many px to the left.
         quality: quality of JPEG, 1…100.
+        background: colour behind transparent pictures, see `read_picture`; None refuses them.
         maps: format of maps of the truth (see `uwaug.transforms.truth.Truth`), "npy" or "exr",
             written to the folder `maps` of the run; None for none.
 
@@ -59,6 +62,7 @@ class Recipe:
     drift: float = 0.004
     motion: tuple[float, float, float] | str = (0.0, 0.0, 0.0)
     quality: float = 95
+    background: str | None = None
     maps: str | None = None
 
     def __post_init__(self) -> None:
@@ -76,6 +80,12 @@ class Recipe:
         else:
             object.__setattr__(self, "motion", checks.vector("motion", self.motion))
         checks.within("quality", self.quality, 1, 100)
+        if self.background is not None:
+            try:
+                ImageColor.getrgb(self.background)
+            except (ValueError, AttributeError):
+                got = f"got {self.background!r:.80}"
+                raise ValueError(f"background must be a colour such as white, {got}") from None
         if self.maps is not None:
             checks.one_of("maps", self.maps, MAP_FORMATS)
 
@@ -114,7 +124,11 @@ class Recipe:
     def read(self, item: Item) -> tuple[Tensor, Tensor | None]:
         """The picture (3xHxW) of an item, and its map (1xHxW) where it has one."""
         space = self.transform_of(item.picture).development.color_space
-        return read_picture(item.picture, space), self.read_map(item)
+        return self.read_picture(item, space), self.read_map(item)
+
+    def read_picture(self, item: Item, color_space: ColorSpace = "srgb") -> Tensor:
+        """The picture (3xHxW) of an item."""
+        return read_picture(item.picture, color_space, self.background)
 
     def write(self, path: Path, image: Tensor, picture: Path) -> None:
         """Write the result (3xHxW) of the transform of a picture."""

@@ -18,7 +18,7 @@ from uwaug.files.films import Films, frames_of
 from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
-from uwaug.files.pictures import ENDINGS, orientation_of, write_picture
+from uwaug.files.pictures import ENDINGS, orientation_of, profile_of, write_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
@@ -244,11 +244,13 @@ def _questions(
 ) -> list[str]:
     """Keys of `ASKED` that apply to a picture."""
     source = transform.distance
+    is_srgb = transform.development.color_space == "srgb"
     may_be_12_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
     may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
     doubts = {
         "turned": (z is not None or labels is not None) and orientation_of(item.picture) > 1,
         "dark": may_be_12_bits and image.is_floating_point() and float(image.max()) < _DARK_LIGHT,
+        "profile": is_srgb and bool(profile_of(item.picture)),
         "alone": may_have_holes and z is not None and bool(of_shares(z).any()),
     }
     return [key for key, applies in doubts.items() if applies]
