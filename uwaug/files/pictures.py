@@ -159,22 +159,21 @@ def _to_srgb(profile: bytes) -> ImageCms.ImageCmsTransform | None:
         transform = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), "RGB", "RGB")
     except (OSError, ImageCms.PyCMSError):
         return None
-    levels = np.arange(0, 256, 15, np.uint8)
-    colours = Image.fromarray(np.stack(np.meshgrid(*[levels] * 3), -1).reshape(-1, 18, 3))
-    changes = np.int16(ImageCms.applyTransform(colours, transform)) - np.int16(colours)
-    return transform if np.abs(changes).max() > _SAME_LEVELS else None
+    colours = (15 * np.indices((18, 18, 18))).astype(np.uint8).reshape(3, -1, 1).T
+    converted = np.asarray(transform.apply(Image.fromarray(colours)))
+    return transform if (np.abs(converted - colours.astype(int)) > _SAME_LEVELS).any() else None
 
 
 def _in_srgb(values: NDArray[Any], profile: bytes) -> NDArray[Any]:
     """Colours (HxWx3) of a profile in sRGB."""
+    transform, values = _to_srgb(profile), np.ascontiguousarray(values)
+    assert transform is not None
     if values.dtype == np.uint8:
-        image = Image.fromarray(np.ascontiguousarray(values))
-        return np.asarray(ImageCms.applyTransform(image, _to_srgb(profile)))
+        return np.asarray(transform.apply(Image.fromarray(values)))
     (codecs,) = require("files", "imagecodecs")  # Pillow converts 8 bits alone
     srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     # optimised, 16 bits would go by a coarse table that is off by 11 of 255 in shadows
     how: Any = {"colorspace": "rgb", "outcolorspace": "rgb", "flags": codecs.CMS.FLAGS.NOOPTIMIZE}
-    values = np.ascontiguousarray(values)
     converted: NDArray[Any] = codecs.cms_transform(values, profile, srgb, **how)
     return converted
 

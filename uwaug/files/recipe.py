@@ -10,7 +10,6 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.codec import plain
-from uwaug._support.types import ColorSpace
 from uwaug.distance.sources import Metres
 from uwaug.files.items import Item
 from uwaug.files.pictures import metres_of, read_distance, read_picture, write_picture
@@ -124,11 +123,7 @@ class Recipe:
     def read(self, item: Item) -> tuple[Tensor, Tensor | None]:
         """The picture (3xHxW) of an item, and its map (1xHxW) where it has one."""
         space = self.transform_of(item.picture).development.color_space
-        return self.read_picture(item, space), self.read_map(item)
-
-    def read_picture(self, item: Item, color_space: ColorSpace = "srgb") -> Tensor:
-        """The picture (3xHxW) of an item."""
-        return read_picture(item.picture, color_space, self.background)
+        return read_picture(item.picture, space, self.background), self.read_map(item)
 
     def write(self, path: Path, image: Tensor, picture: Path) -> None:
         """Write the result (3xHxW) of the transform of a picture."""

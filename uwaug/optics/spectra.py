@@ -150,9 +150,9 @@ def read_spectra(
     header: Sequence[str] = ()
     names = ["wavelength", *tables[0]]
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        separator = next((sign for sign in ";\t" if sign in file.readline()), ",")
+        top = file.readline()
         file.seek(0)
-        reader = csv.reader(file, delimiter=separator)
+        reader = csv.reader(file, delimiter=next((sign for sign in ";\t" if sign in top), ","))
         try:
             for row in reader:
                 if not any(cell.strip() for cell in row):
