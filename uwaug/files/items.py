@@ -92,7 +92,8 @@ def find_items(
         if distance and place.is_dir() and file and not file.is_file():
             delay, nearest = _nearest(file, times_in(file.parent))
             file = nearest if delay <= _MAX_DELAY_S and nearest.parent != path.parent else file
-        items.append(Item(name, path, file))
+        shown = os.fsencode(name).decode(errors="backslashreplace")
+        items.append(Item(shown, path, file))
     maps = set()
     for item in items:  # an EXR may hold its distances, too
         if item.distance != item.picture or item.picture.suffix.lower() != ".exr":
