@@ -76,7 +76,7 @@ def rigs_of(frames: Mapping[Item, Frame]) -> str:
     for item, frame in frames.items():
         films.setdefault(frame.candidates[0], {})[os.path.dirname(item.name) or "."] = None
     cameras = max(films.values(), key=len)
-    count_of_all = f"{len(films)} films, each in its own water"
+    count_of_all = f"{len(films)} films, each in its own water" if len(films) > 1 else "one film"
     if len(cameras) == 1:
         return f"{count_of_all}: are some by one rig? --rig FOLDER,FOLDER" if len(films) > 1 else ""
     first, second, *_ = cameras
