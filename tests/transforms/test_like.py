@@ -147,7 +147,7 @@ def test_draws_spread_over_all_photographs_and_serve_each_other() -> None:
     assert FEW["draws"] < len(made) <= FEW["draws"] * (1 + 3 * 0.3) + 3
 
 
-@pytest.mark.parametrize(("kept", "verdict"), [(0.5, "near"), (0.9, "fair"), (1.3, "far from any")])
+@pytest.mark.parametrize(("kept", "verdict"), [(0.5, "near"), (0.9, "fair"), (1.3, "far from all")])
 def test_a_verdict_in_words(kept: float, verdict: str) -> None:
     assert str(Nearness(kept, 1.5, "")).startswith(verdict)
     assert f"{kept:.2f} away" in str(Nearness(kept, 1.5, ""))
