@@ -169,7 +169,7 @@ def write_picture(
     Args:
         path: file to write or replace; the end of its name is the format.
         image (3xHxW tensor): uint8 (0…255), written in 8 bits; or floating point (0…1), written in
-            16 bits to PNG and TIFF, as float32 to .npy and .exr.
+            16 bits to PNG and TIFF, as float32 to .npy and .exr. These two hold a map (1xHxW), too.
         quality: quality of JPEG, 1…100; colours are not subsampled.
         color_space: colour space of the image. An EXR gets linear light.
 
@@ -186,13 +186,15 @@ def write_picture(
         if end == ".exr":
             (exr,) = require("files", "OpenEXR")
             light = (values / 255 if values.dtype == np.uint8 else values).astype(np.float32)
-            if color_space == "srgb":
+            is_map = light.shape[-1] == 1
+            if color_space == "srgb" and not is_map:
                 light = srgb_to_linear(torch.from_numpy(light)).numpy()
-            exr.File({"type": exr.scanlineimage}, {"RGB": light}).write(str(part))
+            layers = {"Z": light[..., 0]} if is_map else {"RGB": light}
+            exr.File({"type": exr.scanlineimage}, layers).write(str(part))
             return
         with part.open("wb") as file:
             if end == ".npy":
-                np.save(file, values)
+                np.save(file, values if values.shape[-1] > 1 else values[..., 0])
             elif end in (".tif", ".tiff"):
                 # without the time of writing, so that equal pictures are equal files
                 tifffile.imwrite(file, values, photometric="rgb", compression="zlib", metadata=None)

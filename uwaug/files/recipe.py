@@ -16,7 +16,9 @@ from uwaug.formation.colour import linear_to_srgb
 from uwaug.optics.point_spread import FOCAL_LENGTH
 from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
-from uwaug.transforms.samples import key_of
+
+MAP_FORMATS = ("npy", "exr")
+"""Formats of maps: float32, the only ones that hold light below 0 and above 1 and any distance."""
 
 
 @plain
@@ -40,6 +42,8 @@ class Recipe:
         motion: motion of its camera to the right, down and forward, m a frame; or, as "12px", to
             the right, by which what is at the median distance moves so many px to the left.
         quality: quality of JPEG, 1…100.
+        maps: format of maps of the truth (see `uwaug.transforms.truth.Truth`), "npy" or "exr",
+            written to the folder `maps` of the run; None for none.
 
     Raises:
         TypeError, ValueError: if a value does not suit.
@@ -55,6 +59,7 @@ class Recipe:
     drift: float = 0.004
     motion: tuple[float, float, float] | str = (0.0, 0.0, 0.0)
     quality: float = 95
+    maps: str | None = None
 
     def __post_init__(self) -> None:
         checks.instance("transform", self.transform, RandomUnderwater)
@@ -71,10 +76,17 @@ class Recipe:
         else:
             object.__setattr__(self, "motion", checks.vector("motion", self.motion))
         checks.within("quality", self.quality, 1, 100)
+        if self.maps is not None:
+            checks.one_of("maps", self.maps, MAP_FORMATS)
+
+    def at_contrast(self, left: float) -> "Recipe":
+        """The same recipe with so much contrast left at the median distance of each picture."""
+        water = replace(self.transform.water, contrast=left)
+        return replace(self, transform=replace(self.transform, water=water))
 
     def drawn(self, name: str, variant: int) -> Record:
         """The draw of a picture: all its random numbers."""
-        generator = torch.Generator().manual_seed(key_of(self.seed, variant, name))
+        generator = self.transform.generator_of(self.seed, variant, name)
         return self.transform.make_params(torch.empty(3, 1, 1), generator)
 
     def motion_before(self, median: float, width: int) -> tuple[float, float, float]:

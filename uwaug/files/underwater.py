@@ -18,12 +18,13 @@ from uwaug.files.films import Films, frames_of
 from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
-from uwaug.files.pictures import ENDINGS, orientation_of
+from uwaug.files.pictures import ENDINGS, orientation_of, write_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
 from uwaug.files.summary import Summary
 from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms.truth import MAPS, Truth
 
 _CONTRAST_ROWS = 128  # rows of the short side, about, that give the mean contrast of a picture
 _DARK_LIGHT = 1 / 8  # share of white that no value of a picture of 12 bits in 16 reaches
@@ -191,7 +192,10 @@ class _Underwater(Work):
         step = max(1, min(image.shape[1:]) // _CONTRAST_ROWS) if labels is None else 1
         scenes = transform.scenes(image, z, params)
         degraded, contrast = scenes.formed(), scenes.contrast_map(step)
-        reached = scenes.reached(0)
+        reached, truth = scenes.reached(0), None
+        if self.recipe.maps is not None:
+            truth = scenes.truth()
+            _write_maps((self.out / "maps" / job.place).with_suffix(""), truth, self.recipe.maps)
         objects = []
         if labels is not None:
             objects = judged(labels, item.name, contrast, self.recipe.min_contrast)
@@ -201,6 +205,7 @@ class _Underwater(Work):
             "params": params,
             "contrast": round(float(contrast.double().mean()), 4),
             "reached": reached and reached._asdict(),
+            "truth": truth and truth.record(),
             "objects": [label._asdict() for label in objects],
             "asked": _questions(item, transform, image, z, labels),
         }
@@ -218,6 +223,14 @@ class _Underwater(Work):
         distance = f"{reached['metres']:.2g} m, " if reached else ""
         water = " + ".join(_short_name(water) for water in sample["water"]["waters"])
         return f"{distance}contrast {record['contrast']:.2f}\n{water}"
+
+
+def _write_maps(stem: Path, truth: Truth | None, end: str) -> None:
+    """Write STEM_clean.npy and the other maps of the truth of a picture, if there is one."""
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    for name in MAPS if truth is not None else ():
+        path = stem.with_name(f"{stem.name}_{name}.{end}")
+        write_picture(path, getattr(truth, name).float(), color_space="linear")
 
 
 def _short_name(water: str | dict[str, float]) -> str:

@@ -123,8 +123,14 @@ class SampleTransform(nn.Module):
 
         Returns:
             A function of the same inputs as the transform, which draws the same at every call.
+            Its record is `make_params(image, generator_of(seed, epoch, index))`.
         """
         return partial(self._apply_with, key_of(seed, epoch, index))
+
+    @staticmethod
+    def generator_of(seed: int, epoch: int, index: int | str) -> torch.Generator:
+        """The source of randomness of a key, see `at`."""
+        return torch.Generator().manual_seed(key_of(seed, epoch, index))
 
     @uncompiled
     def _apply_with(self, key: int, *inputs: Any) -> Any:

@@ -21,6 +21,10 @@ Shape = Callable[[Tensor], Tensor]
 """Function of the optical depth."""
 
 
+MAPS = ("clean", "z", "transmission", "signal", "veil")
+"""Maps of a `Truth`."""
+
+
 class Coefficients(NamedTuple):
     """A picture's water in the words of Akkaynak and Treibitz (2018), a number a channel:
 
@@ -108,8 +112,10 @@ def truth_of(
     rebuilt = ambient * J.flatten(2) * torch.exp(-beta_d * flat)
     rebuilt = rebuilt - b_inf * torch.expm1(-beta_b * flat)
     error = exposed((rebuilt - (signal + veil).flatten(2))[..., None], gain.double())
-    numbers = [x.flatten().tolist() for x in (beta_d, beta_b, b_inf, ambient)]
-    coefficients = Coefficients(*numbers, rmse=float(error.square().mean().sqrt()))
+    rmse = float(error.square().mean().sqrt())
+    numbers = {"beta_d": beta_d, "beta_b": beta_b, "b_inf": b_inf, "ambient": ambient}
+    of_channels: dict[str, list[float]] = {k: x.flatten().tolist() for k, x in numbers.items()}
+    coefficients = Coefficients(**of_channels, rmse=rmse)
     maps = J[0], z[0], arriving[0], signal[0], veil[0], matrix[0]
     return Truth(*maps, vertical_depth, coefficients)
 
@@ -118,7 +124,7 @@ def _nearest(z: Tensor, weights: Tensor, light: Tensor, shape: Shape) -> tuple[T
     """Rates and amplitudes (1x3x1) of the nearest amplitude·weights·shape(rate·z) to light
     (1x3xHxW), by some of the pixels. For each rate, the best amplitude is linear.
     """
-    step = max(1, z.numel() // _PIXELS)
+    step = z.numel() // _PIXELS | 1  # odd: not the same columns of every row
     x, w, y = (map.flatten(2)[:, :, None, ::step].double() for map in (z, weights, light))
 
     def explained(rates: Tensor) -> tuple[Tensor, Tensor]:
