@@ -110,20 +110,26 @@ def test_one_file_serves_many_waters_at_once(waters) -> None:
     torch.testing.assert_close(torch.from_numpy(raw), result, rtol=0, atol=0)
 
 
-def test_a_copy_in_half_precision_runs(frozen, tmp_path) -> None:
+def half_of(path: Path) -> OnnxUnderwater:
+    """A file's copy in half precision, as the guide makes it."""
     from onnxruntime.transformers import float16
 
     kept = [*float16.DEFAULT_OP_BLOCK_LIST, "ScatterElements"]
     with warnings.catch_warnings():  # of numbers that are rounded
         warnings.simplefilter("ignore")
         half = float16.convert_float_to_float16(
-            onnx.load(frozen[0]), keep_io_types=True, op_block_list=kept
+            onnx.load(path), keep_io_types=True, op_block_list=kept
         )
-    onnx.save(half, tmp_path / "half.onnx")
+    onnx.save(half, path.with_name("half.onnx"))
+    return OnnxUnderwater(path.with_name("half.onnx"))
+
+
+def test_a_copy_in_half_precision_runs(frozen) -> None:
     image, distance = scene(1)
     distance[..., :5] = torch.inf
-    run, exact = OnnxUnderwater(tmp_path / "half.onnx"), OnnxUnderwater(frozen[0])
-    assert 0 < (run(image, distance) - exact(image, distance)).abs().max() < 0.005
+    off = half_of(frozen[0])(image, distance) - OnnxUnderwater(frozen[0])(image, distance)
+    assert 0 < off.abs().max() < 0.005
+    assert off.square().mean().sqrt() < 0.0005
 
 
 @pytest.mark.parametrize("coefficients", [False, True])
@@ -140,6 +146,9 @@ def test_a_file_with_a_lamp(tmp_path, coefficients) -> None:
     run, (image, distance) = OnnxUnderwater(path), scene(1)
     if not coefficients:
         assert (run(image, distance) - module(image, distance)).abs().max() < 2e-4
+        off = half_of(path)(image, distance) - run(image, distance)
+        assert 0.001 < off.abs().max() < 0.015
+        assert off.square().mean().sqrt() < 0.0005
         with pytest.raises(ValueError, match="light: the file takes none"):
             run(image, distance, light=LIGHT)
         return
