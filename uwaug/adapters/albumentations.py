@@ -60,8 +60,8 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
             a pipeline needs it in `additional_targets={"distance": "mask"}`. The picture image2 has
             the map distance2; left has distance_left; several in `images` (NxHxWx3) have
             `distances` (NxHxW, of kind "masks"). AlbumentationsX moves further masks only beside a
-            mask: where there is none, give the map as the mask, by "mask". No map is needed where `augment` makes distances
-            (`MadeUp`, `Network`, `Plane`).
+            mask: where there is none, give the map as the mask, by "mask". No map is needed where
+            `augment` makes distances (`MadeUp`, `Network`, `Plane`).
         scale: metres per unit of a map, such as .001 for mm.
         channels: order of the picture's colours; "bgr" with OpenCV and Ultralytics.
         p: probability, as in all transforms of Albumentations.

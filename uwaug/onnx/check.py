@@ -67,8 +67,8 @@ def check_onnx(
         ImportError: if the onnx extra is not installed.
         OSError: if the file cannot be read.
         ValueError: naming the worst case, if a picture differs by more than 2e-5 (times the factor
-            by which its development brightens; under lamps, of its brightest value); or if the module hardly changes a picture, so that
-            a graph that returns its input would pass.
+            by which its development brightens; under lamps, of its brightest value); or if the
+            module hardly changes a picture, so that a graph that returns its input would pass.
     """
     (onnx,) = require("onnx", "onnx")
     metadata = read_metadata(path)

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from uwaug import __version__
-from uwaug._support import checks
 from uwaug._support.codec import from_plain
 from uwaug._support.onnx_session import Session
 from uwaug._support.types import Array
