@@ -213,7 +213,8 @@ def test_a_film_is_not_settled_on_a_frame_that_has_changed() -> None:
 def test_odd_scenes_are_told_of() -> None:
     save("depth/1.npy", 50 * metres(H, W))
     assert degrade(Recipe(WATER), items(), "blank").blank == ["1.png"]
-    recipe = Recipe(RandomUnderwater(RandomWater(contrast=0.4)))
+    water = RandomWater("7C", contrast=0.4, contrast_by="contents")
+    recipe = Recipe(RandomUnderwater(water))
     summary = degrade(recipe, items(), "out")
     (odd,) = summary.odd
     assert odd.startswith("1.png: a median of ")

@@ -42,8 +42,17 @@ INPUTS = {
     "lamp_veil_weights": "Bx3xN, weights of the fog, 1/m",
     "lamp_light": "BxPx3, power times color of each of the P lamps; 0 puts one out",
     "pitch": "B, angle of the camera's axis above the horizon, degrees, -90…90",
+    "output": "Bx3xHxW, the picture under water, as image",
 }
 """Inputs of files: shape, meaning and unit. B pictures, K, L, M and N rates."""
+
+
+def described(name: str) -> str:
+    """Shape, meaning and unit of an input; of a further tensor of a medium, shape and name."""
+    if name in INPUTS:
+        return INPUTS[name]
+    return f"{'x'.join(Medium.TENSORS[name]).replace('C', '3')}, uwaug.Medium.{name}"
+
 
 Picture = TypeVar("Picture", Tensor, Array)
 
@@ -105,7 +114,7 @@ def input_rows(media: Mapping[str, Medium], light: Light | None = None) -> dict[
         name: {key: value.tolist() for key, value in coefficients_of(medium, light).items()}
         for name, medium in media.items()
     }
-    names = {key: INPUTS[key] for row in rows.values() for key in row}
+    names = {key: described(key) for row in rows.values() for key in row}
     return {"uwaug_version": __version__, "inputs": names, "waters": rows}
 
 
