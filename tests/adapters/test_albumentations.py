@@ -62,6 +62,25 @@ def test_picture_and_map_move_together(dtype: str) -> None:
     assert not np.array_equal(result["image"], moved[0])
 
 
+@pytest.mark.parametrize("shape", [(H, W), (H, W, 1), (H, W, 3)])
+@pytest.mark.parametrize("white", [255, 65535])
+def test_grey_and_16_bits_are_taken_as_in_files(shape: tuple[int, ...], white: int) -> None:
+    kind = np.uint8 if white == 255 else np.uint16
+    values = np.random.default_rng(0).integers(0, white + 1, shape, dtype=kind)
+    colour = np.broadcast_to(values.reshape(H, W, -1), (H, W, 3))
+    record = AUGMENT.make_params(torch.empty(3, H, W))
+    expected = ours(colour if white == 255 else colour / np.float32(65535), metres(), record)
+    if white == 65535:
+        expected = np.rint(expected.clip(0, 1) * 65535)
+    targets = {"image": values, "distance": metres()}
+    made = water().apply_with_params({"record": record}, **targets)["image"]
+    assert made.dtype == kind
+    assert np.array_equal(made, expected)
+    film = {"images": np.stack([values] * 2), "distances": np.stack([metres()] * 2)}
+    for frame in water().apply_with_params({"record": record}, **film)["images"]:
+        assert np.abs(frame.astype(int) - made).max() <= white // 255
+
+
 def test_labels_are_left_alone() -> None:
     mask = (array()[..., 0] > 99).astype(np.uint8)
     boxes = A.BboxParams("pascal_voc", label_fields=["labels"])

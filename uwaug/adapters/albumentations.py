@@ -67,8 +67,9 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         p: probability, as in all transforms of Albumentations.
 
     Targets:
-        image, and others of its kind (`additional_targets`): HxWx3, uint8 (0…255) or float32 (0…1);
-        one draw for all, each at its distances. Pictures of `images` are frames of one film, see
+        image, and others of its kind (`additional_targets`): HxWx3, uint8 (0…255), uint16
+        (0…65535) or float32 (0…1); one draw for all, each at its distances. Grey, HxW or HxWx1,
+        comes out in colour. Pictures of `images` are frames of one film, see
         `RandomUnderwater.for_clip`. Masks, boxes and keypoints stay as they are.
 
     Random numbers come from the pipeline: `A.Compose(…, seed=…)`. Albumentations 2.0 draws the same
@@ -125,8 +126,13 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         for name, pictures in kwargs.items():
             if name in self._key2func and pictures is not None:
                 image, distance = np.asarray(pictures), None
+                single = self._key2func[name] == self.apply
+                if image.ndim == (2 if single else 3):
+                    image = image[..., None]
+                if image.shape[-1] == 1:
+                    image = image.repeat(3, -1)
                 if self.augment.distance.reads_maps:
-                    distance = self._distance(name, image.ndim == 3, kwargs)
+                    distance = self._distance(name, single, kwargs)
                 result[name] = self.apply(image, record, distance)
         return result
 
@@ -150,10 +156,14 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
     ) -> NDArray[Any]:
         """Degrade a picture, or the frames of a film (NxHxWx3)."""
         step = -1 if self.channels == "bgr" else 1
+        has_16_bits = img.dtype == np.uint16
+        img = img / np.float32(65535) if has_16_bits else img
         image = torch.from_numpy(np.ascontiguousarray(img[..., ::step])).movedim(-1, -3)
         if image.ndim == 4:
             record = self.augment.for_clip(record, image, distance)
         result = self.augment.transform(image, distance, record).movedim(-3, -1).numpy()
+        if has_16_bits:
+            result = np.rint(result.clip(0, 1) * 65535).astype(np.uint16)
         return np.ascontiguousarray(result[..., ::step])
 
     def get_transform_init_args(self) -> dict[str, Any]:

@@ -80,7 +80,8 @@ def degrade(
             "--set",
             help="Set any option: water.vertical_depth=0:5, development.saturation=1, light=none; "
             "for films drift=.004 (m per frame) and motion=[.02,0,0], of the camera to the right, "
-            "down and forward, or 12px; for JPEG quality=80; repeat it for several.",
+            "down and forward, or 12px; for JPEG quality=80; for pictures with "
+            "alpha background=white; repeat it for several.",
             metavar="NAME=VALUE",
         ),
     ] = None,
@@ -142,9 +143,10 @@ def degrade(
             raise ValueError("--severity is a contrast: give no --contrast and no --like with it")
         grades = {"": None} if severity is None else _grades(severity)
         values = _options(preset, plain, options, set_ or (), water or (), contrast)
-        run_options = [name for name in ("drift", "motion", "quality") if name in values]
+        names = ("drift", "motion", "quality", "background")
+        run_options = [name for name in names if name in values]
         run_values = {name: values.pop(name) for name in run_options}
-        if run_options and run_options != ["quality"] and not sequence:
+        if {"drift", "motion"} & {*run_options} and not sequence:
             got = f"--set {run_options[0]} is of films"
             raise ValueError(f"{got}, whose frames --sequence makes of a folder")
         if plain and not (values["water"].get("waters") and (distance or "distance" in values)):

@@ -18,7 +18,7 @@ from uwaug.files.films import Films, frames_of
 from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
-from uwaug.files.pictures import ENDINGS, orientation_of, write_picture
+from uwaug.files.pictures import ENDINGS, orientation_of, profile_of, write_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
@@ -96,8 +96,9 @@ def degrade(
     )
     if labels is not None:
         results = [result for result in summary.results if result.status != "failed"]
-        notes = [_labels_note(labels, items), *labels.finish(results, out)]
-        summary = replace(summary, notes=notes)
+        # without results, those of an earlier run keep their lists
+        notes = labels.finish(results, out, force=force) if results else []
+        summary = replace(summary, notes=[_labels_note(labels, items), *notes])
     return summary
 
 
@@ -199,8 +200,6 @@ class _Underwater(Work):
         objects = []
         if labels is not None:
             objects = judged(labels, item.name, contrast, self.recipe.min_contrast)
-            dropped = {label.key for label in objects if not label.kept}
-            labels.write(item.name, job.place, dropped, self.out)
         return degraded, {
             "params": params,
             "contrast": round(float(contrast.double().mean()), 4),
@@ -245,11 +244,13 @@ def _questions(
 ) -> list[str]:
     """Keys of `ASKED` that apply to a picture."""
     source = transform.distance
+    is_srgb = transform.development.color_space == "srgb"
     may_be_12_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
     may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
     doubts = {
         "turned": (z is not None or labels is not None) and orientation_of(item.picture) > 1,
         "dark": may_be_12_bits and image.is_floating_point() and float(image.max()) < _DARK_LIGHT,
+        "profile": is_srgb and bool(profile_of(item.picture)),
         "alone": may_have_holes and z is not None and bool(of_shares(z).any()),
     }
     return [key for key, applies in doubts.items() if applies]
