@@ -111,8 +111,8 @@ def replay(
     distance: str | Path | None = None,
     force: bool = False,
 ) -> None:
-    """Make a picture again from its record, to the byte with the same versions of uwaug and PyTorch
-    on the same kind of processor.
+    """Make a picture again from its record, to the byte with the same versions of uwaug, PyTorch
+    and numba (or without it, as the record says) on the same kind of processor.
 
     Args:
         record: file beside a picture that a run has written.
@@ -134,7 +134,7 @@ def replay(
     entries = read_record(Path(record))
     if "recipe" not in entries:
         raise ValueError(f"{record}: is no record of a picture under water")
-    record_versions = {name: entries[name] for name in ("uwaug", "torch")}
+    record_versions = {name: entries[name] for name in versions()}
     if record_versions != versions():
         got = " and ".join(f"{name} {version}" for name, version in record_versions.items())
         cure = "defaults and last bits may differ"
