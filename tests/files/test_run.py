@@ -327,7 +327,7 @@ def test_replay() -> None:
         replay("out/2.png.json", "again.png", picture="moved.png", force=True)
 
 
-@pytest.mark.parametrize("name", ["uwaug", "torch"])
+@pytest.mark.parametrize("name", ["uwaug", "torch", "numba"])
 def test_records_of_another_version_say_so(name: str) -> None:
     degrade(RECIPE, items()[:1], "new")
     record = read_record(Path("new/0.png.json"))
@@ -335,6 +335,18 @@ def test_records_of_another_version_say_so(name: str) -> None:
     write_record(Path("old.json"), {**record, name: "0.0.1"})
     with pytest.warns(UserWarning, match=rf"old.json was written by .*{name} 0\.0\.1.*: defaults"):
         replay("old.json", "again.png")
+
+
+def test_a_record_says_whether_the_loops_made_its_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    numba = pytest.importorskip("numba")
+    degrade(RECIPE, items()[:1], "new")
+    assert read_record(Path("new/0.png.json"))["numba"] == numba.__version__
+    monkeypatch.setenv("UWAUG_FAST", "0")
+    with pytest.warns(UserWarning, match=r"0\.png\.json was written by .* and numba "):
+        replay("new/0.png.json", "again.png")
+    apart = (read_picture("again.png").int() - read_picture("new/0.png").int()).abs()
+    assert apart.max() <= 1
+    assert apart.float().mean() < 1e-3
 
 
 def test_a_medium_under_lamps_is_made_again_from_its_record() -> None:

@@ -79,7 +79,7 @@ def degrade(
         typer.Option(
             "--set",
             help="Set any option: water.vertical_depth=0:5, development.saturation=1, light=none; "
-            "for films drift=.004 (m per frame) and motion=[.02,0,0], of the camera to the right, "
+            "for films drift=.004 (m per frame) and motion=[0.02,0,0], of the camera to the right, "
             "down and forward, or 12px; for JPEG quality=80; for pictures with "
             "alpha background=white; repeat it for several.",
             metavar="NAME=VALUE",
@@ -147,8 +147,11 @@ def degrade(
         from uwaug.files.prepare import prepare, references_of
         from uwaug.transforms import RandomUnderwater
 
-        if severity is not None and (contrast is not None or like):
+        is_contrast = any(setting.startswith("water.contrast=") for setting in set_ or ())
+        if severity is not None and (contrast is not None or is_contrast or like):
             raise ValueError("--severity is a contrast: give no --contrast and no --like with it")
+        if severity == "all" and out.suffix:
+            raise ValueError(f"--severity all needs a folder, got --out {out}")
         grades = {"": None} if severity is None else _grades(severity)
         values = _options(preset, plain, options, set_ or (), water or (), contrast)
         names = ("drift", "motion", "quality", "background")

@@ -8,7 +8,8 @@ from typing import Any
 
 from uwaug._support.atomic import require_regular, written_whole
 
-_KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance")  # of every record
+# of every record
+_KEYS = ("uwaug", "torch", "numba", "name", "variant", "picture", "distance")
 
 COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
 """Columns of the index of a run."""

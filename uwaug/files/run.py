@@ -4,6 +4,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +13,8 @@ from torch import Tensor
 
 from uwaug import __version__
 from uwaug._support.atomic import remove_left
+from uwaug._support.compiled import wanted
+from uwaug.fast import load
 from uwaug.files.films import Frame
 from uwaug.files.items import Item
 from uwaug.files.labels import Judged, Labels
@@ -146,8 +149,9 @@ class Work:
 
 
 def versions() -> dict[str, str]:
-    """Versions that a result follows from."""
-    return {"uwaug": __version__, "torch": str(torch.__version__)}
+    """Versions that a result follows from; numba's is "none" where PyTorch forms pictures alone."""
+    numba = version("numba") if wanted() and load() else "none"
+    return {"uwaug": __version__, "torch": str(torch.__version__), "numba": numba}
 
 
 def _source(path: Path) -> dict[str, Any]:

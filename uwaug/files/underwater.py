@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from os.path import splitext
 from pathlib import Path
@@ -19,7 +20,7 @@ from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
 from uwaug.files.pictures import ENDINGS, orientation_of, profile_of, write_picture
-from uwaug.files.recipe import Recipe
+from uwaug.files.recipe import MAP_FORMATS, Recipe
 from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
 from uwaug.files.summary import Summary
@@ -110,8 +111,8 @@ def replay(
     distance: str | Path | None = None,
     force: bool = False,
 ) -> None:
-    """Make a picture again from its record, to the byte with the same versions of uwaug and PyTorch
-    on the same kind of processor.
+    """Make a picture again from its record, to the byte with the same versions of uwaug, PyTorch
+    and numba (or without it, as the record says) on the same kind of processor.
 
     Args:
         record: file beside a picture that a run has written.
@@ -133,7 +134,7 @@ def replay(
     entries = read_record(Path(record))
     if "recipe" not in entries:
         raise ValueError(f"{record}: is no record of a picture under water")
-    record_versions = {name: entries[name] for name in ("uwaug", "torch")}
+    record_versions = {name: entries[name] for name in versions()}
     if record_versions != versions():
         got = " and ".join(f"{name} {version}" for name, version in record_versions.items())
         cure = "defaults and last bits may differ"
@@ -197,7 +198,7 @@ class _Underwater(Work):
         reached, truth = scenes.reached(0), None
         if self.recipe.maps is not None:
             truth = scenes.truth()
-            _write_maps((self.out / "maps" / job.place).with_suffix(""), truth, self.recipe.maps)
+        self._write_maps(job.place, truth)
         objects = []
         if labels is not None:
             objects = judged(labels, item.name, contrast, self.recipe.min_contrast)
@@ -209,6 +210,24 @@ class _Underwater(Work):
             "objects": [label._asdict() for label in objects],
             "asked": _questions(item, transform, image, z, labels),
         }
+
+    def _write_maps(self, place: str, truth: Truth | None) -> None:
+        """Write the maps of the truth of a picture, if there is one, in place of those of an
+        earlier run.
+        """
+        stem = (self.out / "maps" / place).with_suffix("")
+        with suppress(OSError, ValueError):
+            if read_record(record_path(self.out / place)).get("truth"):
+                for name in MAPS:
+                    for end in MAP_FORMATS:
+                        stem.with_name(f"{stem.name}_{name}.{end}").unlink(missing_ok=True)
+        if truth is not None:
+            stem.parent.mkdir(parents=True, exist_ok=True)
+            for name in MAPS:
+                path = stem.with_name(f"{stem.name}_{name}.{self.recipe.maps}")
+                if path.exists():
+                    raise FileExistsError(f"{path} is a file that no run has written")
+                write_picture(path, getattr(truth, name).float(), color_space="linear")
 
     def write(self, path: Path, result: Tensor, item: Item) -> None:
         self.recipe.write(path, result, item.picture)
@@ -223,14 +242,6 @@ class _Underwater(Work):
         distance = f"{reached['metres']:.2g} m, " if reached else ""
         water = " + ".join(_short_name(water) for water in sample["water"]["waters"])
         return f"{distance}contrast {record['contrast']:.2f}\n{water}"
-
-
-def _write_maps(stem: Path, truth: Truth | None, end: str) -> None:
-    """Write STEM_clean.npy and the other maps of the truth of a picture, if there is one."""
-    stem.parent.mkdir(parents=True, exist_ok=True)
-    for name in MAPS if truth is not None else ():
-        path = stem.with_name(f"{stem.name}_{name}.{end}")
-        write_picture(path, getattr(truth, name).float(), color_space="linear")
 
 
 def _short_name(water: str | dict[str, float]) -> str:

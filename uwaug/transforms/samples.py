@@ -182,6 +182,7 @@ def maps_for(pictures: Tensor, distance: Any, source: Source) -> Sequence[Tensor
         return [None] * len(pictures)
     if distance is None:
         cure = "for pictures without maps there are MadeUp, Network and Plane of uwaug.distance"
+        cure += ". kornia's containers pass a picture alone: call the transform after them"
         raise ValueError(
             f"distance is missing: give a map, or RandomUnderwater(distance=…): {cure}"
         )
