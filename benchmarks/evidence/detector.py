@@ -1,0 +1,364 @@
+"""Does water in training help a detector that has seen none?
+
+    python -m benchmarks.evidence.detector --kit FOLDER --choose    length and step, by the dry arm
+    python -m benchmarks.evidence.detector --kit FOLDER             all arms, and the table
+
+A detector trained in air (YOLOX-nano, COCO) is tuned on pictures in air with boxes, as each arm
+degrades them, and finds persons in real pictures under water. The kit is a folder with the pictures
+and `kit.py`, which loads them, and `yolox_nano.py`, the net with its weights.
+
+All arms have the same pictures, made-up distances, windows, order and steps. Those that are shown
+underwater pictures get five of the set `divers`, without boxes: no arm is scored on these five.
+Only the half of the films that chooses is in the kit.
+"""
+
+import argparse
+import importlib
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import albumentations
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor, nn
+from torch.nn.functional import affine_grid, grid_sample, interpolate
+
+from benchmarks.evidence.arms import ARMS, DEFAULTS, SHOWN, Arm, tensors
+from benchmarks.evidence.boxes import average_precisions, loss_of, matched
+from benchmarks.evidence.tasks import Array, Pool, made_up
+from benchmarks.harness import save
+
+SIDE = 256
+"""px: of the square that the net sees, in training and in tests."""
+
+PAD = 114 / 255
+"""Grey around a picture, as the net has learnt it."""
+
+BATCH = 8
+DRAWS = 2  # of each picture and its distances
+WINDOWS = (0.7, 1.4)  # sizes at which pictures are seen, of their own
+LEAST_LEFT = 0.4  # share of a box that a window must hold
+RESAMPLES = 1000
+TRIALS = 300  # of `uwaug.like`
+
+TESTS = ("choose/divers", "choose/swimmers", "choose/pools", "land/val")
+SHOWN_PICTURES = 5
+
+
+class Tuning(NamedTuple):
+    """How the net is tuned."""
+
+    steps: int
+    rate: float
+    classes: str  # "all" of COCO, or "person"
+
+
+CHOICES = (
+    Tuning(100, 3e-5, "all"),
+    Tuning(100, 1e-4, "person"),
+    Tuning(100, 3e-5, "person"),
+)
+CHOSEN = Tuning(200, 1e-4, "all")
+"""By the dry arm alone, on land/val, before any other arm was trained."""
+
+
+class Scene(NamedTuple):
+    """A picture in air with what is in it, its longer side of SIDE px."""
+
+    image: Tensor  # 3xHxW, 0…1
+    boxes: Tensor  # Nx4: left, top, right, bottom, px
+    classes: Tensor  # N
+
+
+def fog() -> Arm:
+    """Albumentations' fog as it comes."""
+    seed = int(torch.randint(2**31, ()))
+    augment = albumentations.Compose([albumentations.RandomFog(p=1.0)], seed=seed)
+
+    def arm(images: Tensor, distances: Tensor) -> Tensor:
+        levels = images.mul(255).round().byte().permute(0, 2, 3, 1).numpy()
+        return torch.stack([*tensors([augment(image=picture)["image"] for picture in levels])])
+
+    return arm
+
+
+NEEDING_NO_PICTURES: dict[str, Callable[[], Arm]] = {
+    **{name: ARMS[name] for name in ("no water", "jitter, blur", "by hand")},
+    "RandomFog": fog,
+    **{name: ARMS[name] for name in ("Li 2020", DEFAULTS, "p=0.5")},
+}
+NAMES = (*NEEDING_NO_PICTURES, "uwaug.like", "SLURPP 2025", "colour transfer")
+
+
+def maker(name: str, shown: list[Array], scenes: list[Scene], maps: list[Tensor]) -> Arm:
+    """An arm by its name; `shown` are pictures under water, for those that want some."""
+    if name in NEEDING_NO_PICTURES or name in ARMS:
+        return {**ARMS, **NEEDING_NO_PICTURES}[name]()
+    few = slice(None, None, len(scenes) // 8)
+    images, distances = (
+        torch.cat([interpolate(x[None], (240, 320)) for x in some])
+        for some in ([scene.image for scene in scenes[few]], maps[: len(scenes)][few])
+    )
+    return SHOWN[name](shown, Pool(images, distances, torch.arange(len(images))), TRIALS)
+
+
+def scenes_of(samples: Sequence[Any]) -> list[Scene]:
+    """Samples of the kit at the size of training."""
+    scenes = []
+    for sample in samples:
+        scale = SIDE / max(sample.image.shape[:2])
+        height, width = (int(scale * side) for side in sample.image.shape[:2])
+        small = Image.fromarray(sample.image).resize((width, height), Image.Resampling.BILINEAR)
+        image = torch.from_numpy(np.array(small)).permute(2, 0, 1) / 255
+        boxes = torch.from_numpy(sample.boxes * scale).float()
+        scenes.append(Scene(image, boxes, torch.from_numpy(sample.classes)))
+    return scenes
+
+
+def degraded(arm: Arm, scenes: list[Scene], maps: list[Tensor]) -> Tensor:
+    """Draws of all scenes, one after another, in the upper left of squares (bytes)."""
+    squares = torch.full((len(maps), 3, SIDE, SIDE), round(255 * PAD), dtype=torch.uint8)
+    for index, distance in enumerate(maps):
+        image = scenes[index % len(scenes)].image
+        height, width = image.shape[1:]
+        picture = arm(image[None], distance[None])[0].clamp(0, 1).mul(255).round().byte()
+        squares[index, :, :height, :width] = picture
+    return squares
+
+
+def window(
+    square: Tensor, boxes: Tensor, classes: Tensor, rng: np.random.Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    """A square (bytes) larger or smaller, elsewhere, in half of the cases mirrored: 0…1, and what
+    is still in it.
+    """
+    scale = float(np.exp(rng.uniform(*np.log(WINDOWS))))
+    shift = torch.from_numpy(rng.uniform(-1, 1, 2) * abs(1 - scale)).float()
+    sign = torch.tensor([float(rng.choice([-1, 1])), 1.0])
+    # the middle of a square is 0, its ends are -1 and 1
+    theta = torch.stack([*torch.diag(sign / scale), -sign * shift / scale]).T[None]
+    grid = affine_grid(theta, [1, 3, SIDE, SIDE], align_corners=False)
+    picture = grid_sample(square[None] / 255 - PAD, grid, align_corners=False)[0] + PAD
+    corners = (2 * boxes.reshape(-1, 2, 2) / SIDE - 1) * sign * scale + shift
+    corners = (corners + 1) * SIDE / 2
+    moved = torch.cat([corners.amin(1), corners.amax(1)], 1)
+    inside = moved.clamp(0, SIDE)
+    before, after = ((x[:, 2:] - x[:, :2]).prod(1) for x in (moved, inside))
+    kept = after > LEAST_LEFT * before
+    return picture, inside[kept], classes[kept]
+
+
+def tuned(net: nn.Module, squares: Tensor, scenes: list[Scene], how: Tuning, seed: int) -> float:
+    """Tune a net in place; the order and the windows hang on the seed alone. Returns seconds."""
+    began = time.process_time()
+    rng = np.random.default_rng(seed)
+    order = np.concatenate(
+        [rng.permutation(len(scenes)) for _ in range(how.steps * BATCH // len(scenes) + 1)]
+    )
+    draws = rng.integers(len(squares) // len(scenes), size=len(order))
+    net.train()
+    optimiser = torch.optim.AdamW(net.parameters(), how.rate, weight_decay=0.0)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, how.rate, how.steps)
+    for step in range(how.steps):
+        picked = range(step * BATCH, (step + 1) * BATCH)
+        pictures, truths = [], []
+        for place in picked:
+            scene = scenes[order[place]]
+            square = squares[draws[place] * len(scenes) + order[place]]
+            wanted = scene.classes == 0 if how.classes == "person" else scene.classes >= 0
+            picture, *truth = window(square, scene.boxes[wanted], scene.classes[wanted], rng)
+            pictures.append(picture.flip(0) * 255)  # BGR
+            truths.append(truth)
+        batch = torch.stack(pictures).to(memory_format=torch.channels_last)
+        loss = loss_of(net(batch), truths, SIDE)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+    net.eval()
+    return time.process_time() - began
+
+
+class Bench(NamedTuple):
+    """All that is in a kit, and what follows from it."""
+
+    yolox: Any  # the module of the net
+    overlap: Callable[[Array, Array], tuple[Array, ...]]
+    scenes: list[Scene]
+    maps: list[Tensor]  # of DRAWS times all scenes, 1xHxW
+    tests: dict[str, list[Any]]
+    blocks: dict[str, list[str]]
+    shown: list[Array]
+
+    @classmethod
+    def of(cls, folder: Path) -> "Bench":
+        sys.path.insert(0, str(folder))
+        kit, yolox = (importlib.import_module(name) for name in ("kit", "yolox_nano"))
+        groups = json.loads((folder / "choose/groups.json").read_text())
+        scenes = scenes_of(kit.load("land/train", folder))
+        rng = np.random.default_rng(0)
+        maps = [
+            torch.from_numpy(made_up(scene.image, rng)).float()[None]
+            for scene in scenes * DRAWS
+        ]
+        tests = {name: kit.load(name, folder, one=0) for name in TESTS}
+        blocks = {
+            name: [groups.get(Path(name).name, {}).get(x.name, x.name) for x in samples]
+            for name, samples in tests.items()
+        }
+        # of scenes that no other picture shows
+        names = blocks[TESTS[0]]
+        alone = [place for place, block in enumerate(names) if names.count(block) == 1]
+        picked = [alone[i] for i in np.linspace(0, len(alone) - 1, SHOWN_PICTURES).astype(int)]
+        shown = [tests[TESTS[0]][place].image for place in picked]
+        for rows in (tests[TESTS[0]], names):
+            for place in reversed(picked):
+                del rows[place]
+        return cls(yolox, kit.overlap, scenes, maps, tests, blocks, shown)
+
+    def found(self, net: nn.Module, names: Sequence[str]) -> dict[str, Array]:
+        """Persons of each test set (Nx6): the picture's place, a box, its score."""
+        answers = {}
+        for name in names:
+            rows = []
+            for place, sample in enumerate(self.tests[name]):
+                boxes = self.yolox.detect(net, sample.image, SIDE, classes=[0])[:, :5]
+                rows.append(np.concatenate([np.full((len(boxes), 1), place), boxes], 1))
+            answers[name] = np.concatenate(rows)
+        return answers
+
+    def scores(self, name: str, found: Array, weights: Array) -> Array:
+        """AP50 of resamples (R) that have each picture so often (RxN)."""
+        samples = self.tests[name]
+        hits = [
+            matched(sample, found[found[:, 0] == place, 1:], self.overlap)
+            for place, sample in enumerate(samples)
+        ]
+        counts = np.array([len(sample.boxes) for sample in samples])
+        return average_precisions(hits, counts, weights)
+
+    def table(self, name: str, answers: dict[str, list[Array]]) -> dict[str, Any]:
+        """Of each arm: mean AP50, that of its nets, the difference to the defaults, and intervals
+        of 95 % of both over blocks. They know nothing of other nets.
+        """
+        _, unit, sizes = np.unique(self.blocks[name], return_inverse=True, return_counts=True)
+        picked = np.random.default_rng(0).integers(0, len(sizes), (RESAMPLES, len(sizes)))
+        often = np.stack([np.bincount(row, minlength=len(sizes)) for row in picked])
+        weights = np.concatenate([np.ones((1, len(unit))), often[:, unit]])
+        of_nets = {
+            arm: np.stack([self.scores(name, net, weights) for net in nets])
+            for arm, nets in answers.items()
+        }
+        reference = of_nets[DEFAULTS].mean(0) if DEFAULTS in of_nets else np.nan
+        rows = {}
+        for arm, scores in of_nets.items():
+            mean, apart = scores.mean(0), scores.mean(0) - reference
+            rows[arm] = {
+                "score": mean[0],
+                "nets": scores[:, 0].tolist(),
+                "interval": np.percentile(mean[1:], (2.5, 97.5)).tolist(),
+                "difference": apart[0] if DEFAULTS in of_nets else None,
+                "blocks": np.percentile(apart[1:], (2.5, 97.5)).tolist() if DEFAULTS in of_nets else None,
+            }
+        return rows
+
+
+def main(
+    kit: Path,
+    arms: Sequence[str] = NAMES,
+    nets: int = 2,
+    answered: Path | None = None,
+    tuning: Tuning = CHOSEN,
+) -> dict[str, Any]:
+    """Tune, score, print and save. What a net finds is kept in `answered`, and asked once."""
+    torch.set_num_threads(1)
+    with TemporaryDirectory() as temporary:
+        folder = answered or Path(temporary)
+        bench = Bench.of(kit)
+        answers = {"not tuned": [bench.found(bench.yolox.load(), TESTS)]}
+        seconds: dict[str, list[float]] = {}
+        results: dict[str, Any] = {}
+        for seed in range(nets):
+            for arm in arms:
+                path = folder / f"{arm}, {seed}.npz"
+                if not path.exists():
+                    np.savez(path, **asked(bench, arm, tuning, seed, TESTS))
+                of_net = dict(np.load(path))
+                seconds.setdefault(arm, []).append(float(of_net.pop("seconds")))
+                answers.setdefault(arm, []).append(
+                    {name.replace("|", "/"): found for name, found in of_net.items()}
+                )
+                results = {
+                    "tuning": tuning._asdict(),
+                    "side": SIDE,
+                    "seconds": {name: round(np.mean(of), 1) for name, of in seconds.items()},
+                    "pictures": {name: len(some) for name, some in bench.tests.items()},
+                    "boxes": {
+                        name: sum(len(x.boxes) for x in some) for name, some in bench.tests.items()
+                    },
+                }
+    results["tables"] = {
+        name: bench.table(name, {arm: [net[name] for net in of] for arm, of in answers.items()})
+        for name in TESTS
+    }
+    for name, rows in results["tables"].items():
+        print(f"\n{name}: AP50, its nets, interval; less the defaults', interval")
+        for arm, row in rows.items():
+            print(f"{arm:18}{row}", flush=True)
+    save("detector", merged(results))
+    return results
+
+
+def asked(
+    bench: Bench, arm: str, tuning: Tuning, seed: int, names: Sequence[str]
+) -> dict[str, Array]:
+    """What a net finds that has seen the pictures of an arm, and the seconds of its tuning."""
+    torch.manual_seed(seed)
+    began = time.process_time()
+    make = maker(arm, bench.shown, bench.scenes, bench.maps)
+    squares = degraded(make, bench.scenes, bench.maps)
+    drawing = time.process_time() - began
+    net = bench.yolox.load().to(memory_format=torch.channels_last)
+    seconds = tuned(net, squares, bench.scenes, tuning, seed)
+    found = bench.found(net, names)
+    once = {name: np.ones((1, len(bench.tests[name]))) for name in names}
+    scores = [f"{name} {bench.scores(name, found[name], once[name])[0]:.3f}" for name in names]
+    print(f"{arm}, {seed}: {drawing:.0f} + {seconds:.0f} s;", *scores, flush=True)
+    return {
+        "seconds": np.array(seconds),
+        **{name.replace("/", "|"): boxes for name, boxes in found.items()},
+    }
+
+
+def choose(kit: Path) -> None:
+    """What the dry arm loses in air, by length, step and classes."""
+    torch.set_num_threads(1)
+    bench = Bench.of(kit)
+    name, ones = TESTS[-1], np.ones((1, len(bench.tests[TESTS[-1]])))
+    untouched = bench.found(bench.yolox.load(), [name])[name]
+    print("not tuned", bench.scores(name, untouched, ones), flush=True)
+    for tuning in CHOICES:
+        print(tuning, flush=True)
+        asked(bench, "no water", tuning, 0, TESTS[-1:])
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--kit", type=Path, required=True)
+    parser.add_argument("--choose", action="store_true", help="length and step, by the dry arm")
+    parser.add_argument("--arms", nargs="+", choices=NAMES, default=NAMES, metavar="ARM")
+    parser.add_argument("--nets", type=int, default=2, help="of each arm")
+    parser.add_argument("--answered", type=Path, help="a folder that keeps what nets found")
+    given = parser.parse_args()
+    if given.choose:
+        choose(given.kit)
+    else:
+        main(given.kit, given.arms, given.nets, given.answered)
