@@ -125,5 +125,8 @@ def average_precisions(hits: Sequence[Array], counts: Array, weights: Array) -> 
     precisions = np.pad(precisions, ((0, 0), (0, 1)))  # beyond the last recall
     levels = np.linspace(0, 1, 101)
     return np.array(
-        [row[np.searchsorted(of, levels)].mean() for row, of in zip(precisions, recalls, strict=True)]
+        [
+            row[np.searchsorted(of, levels)].mean()
+            for row, of in zip(precisions, recalls, strict=True)
+        ]
     )

@@ -4,11 +4,10 @@
 
 OpenCV reads AprilTags in the frames of a film whose corners are known, and in boards pasted into
 photographs in air and degraded: by the defaults over a wide range of contrasts, and by `uwaug.like`
-of five of the frames. Contrast is the spread of green in a tag, from the 10th to the 90th of a
-hundred, in levels of 255. The kit is that of `benchmarks.evidence.detector`.
+of five frames. Contrast is the spread of green in a tag, 10th to 90th percentile, of 255 levels.
+The kit is that of `benchmarks.evidence.detector`.
 """
 
-import argparse
 import importlib
 import json
 import sys
@@ -20,23 +19,25 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 import torch
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from scipy.optimize import minimize
 
 import uwaug
-from benchmarks.evidence.arms import tensors
+from benchmarks.evidence.detector import parser
 from benchmarks.evidence.tasks import Array
+from benchmarks.figures.charts import FIGURES
 from benchmarks.harness import save
 
 EDGES = (2, 6, 9, 13, 18, 25, 35, 50, 75, 110, 256)
 """Of bins of contrast."""
 
-SCENES = 400
-NEAR_PX = 4.0  # from a true corner to one that is found, on the mean
+SCENES = 300
+NEAR_PX = 4.0  # from true corners to those that are read, the mean
 DISTANCES = (0.5, 3.0)  # m, from the camera to the floor
 CONTRASTS = (0.01, 0.9)
 QUALITY = 90  # of JPEG
-RESAMPLES = 500
-
+RESAMPLES = 200
 DICTIONARY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_16h5)
 
 
@@ -49,93 +50,98 @@ class Tag(NamedTuple):
     is_read: bool
 
 
-def tags_of(picture: Array, truth: list[tuple[int, Array]], block: str) -> Iterator[Tag]:
-    """What is read of the markers of a picture (HxWx3, uint8) that it holds whole."""
+def tags_of(picture: Array, ids: Any, quads: Array, block: str) -> Iterator[Tag]:
+    """Markers that a picture (HxWx3, uint8) holds whole, read on green or not."""
     green = np.ascontiguousarray(picture[..., 1])
-    quads, names, _ = cv2.aruco.ArucoDetector(DICTIONARY).detectMarkers(green)
-    read = [*zip(np.ravel(names), quads, strict=True)] if quads else []
-    height, width = green.shape
-    for name, corners in truth:
-        if corners.min() < 1 or (corners > [width - 2, height - 2]).any():
+    corners, names, _ = cv2.aruco.ArucoDetector(DICTIONARY).detectMarkers(green)
+    for name, quad in zip(ids, quads, strict=True):
+        if quad.min() < 1 or (quad > np.array(green.shape[::-1]) - 2).any():
             continue
-        mask = np.zeros_like(green)
-        cv2.fillConvexPoly(mask, corners.round().astype(np.int32), 1)
+        mask = cv2.fillConvexPoly(np.zeros_like(green), quad.round().astype(np.int32), 1)
         low, high = np.percentile(green[mask > 0], (10, 90))
-        side = np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean()
-        hit = any(
-            other == name and np.linalg.norm(quad[0] - corners, axis=1).mean() < NEAR_PX
-            for other, quad in read
+        side = np.linalg.norm(quad - np.roll(quad, 1, 0), axis=1).mean()
+        apart = (
+            [
+                np.linalg.norm(other[0] - quad, axis=1).mean()
+                for other, named in zip(corners, np.ravel(names), strict=True)
+                if named == name
+            ]
+            if corners
+            else []
         )
-        yield Tag(block, high - low, side, hit)
-
-
-def of_film(kit: Any, folder: Path) -> list[Tag]:
-    """Of the frames."""
-    groups = json.loads((folder / "choose/groups.json").read_text())["tags"]
-    truth, tags = kit.tags("choose/tags", folder), []
-    for frame in kit.load("choose/tags", folder):
-        boards = [(t["id"], np.array(t["corners"])) for t in truth.get(frame.name, [])]
-        tags += tags_of(frame.image, boards, groups[frame.name])
-    return tags
+        yield Tag(block, high - low, side, min(apart, default=np.inf) < NEAR_PX)
 
 
 def of_boards(
-    kit: Any, folder: Path, augment: uwaug.RandomUnderwater, sides: tuple[float, float]
+    kit: Any, photographs: list[Array], augment: uwaug.RandomUnderwater, **boards: Any
 ) -> list[Tag]:
-    """Of boards in photographs, degraded, with markers of such sides."""
-    photographs, tags = kit.load("land/train", folder), []
-    rng = np.random.default_rng(0)
-    names = sorted({t["id"] for some in kit.tags("choose/tags", folder).values() for t in some})
+    """Markers of boards in degraded photographs."""
+    rng, tags = np.random.default_rng(0), []
     for index in range(SCENES):
-        photograph = cv2.resize(photographs[index % len(photographs)].image, (640, 480))
-        air, corners, ids = kit.tag_scene(photograph, rng, ids=names, low=sides[0], high=sides[1])
-        (image,) = tensors([air])
-        wet = augment.at(0, 0, index)(image)
-        levels = wet.clamp(0, 1).mul(255).round().byte().permute(1, 2, 0).numpy()
-        file = cv2.imencode(".jpg", levels, (cv2.IMWRITE_JPEG_QUALITY, QUALITY))[1]
-        picture = cv2.imdecode(file, cv2.IMREAD_COLOR)
-        tags += tags_of(picture, [*zip(ids, corners, strict=True)], str(index))
+        photograph = cv2.resize(photographs[index % len(photographs)], (640, 480))
+        air, quads, ids = kit.tag_scene(photograph, rng, **boards)
+        wet = augment.at(0, 0, index)(torch.from_numpy(air).permute(2, 0, 1))
+        file = cv2.imencode(
+            ".jpg", wet.permute(1, 2, 0).numpy(), (cv2.IMWRITE_JPEG_QUALITY, QUALITY)
+        )[1]
+        tags += tags_of(cv2.imdecode(file, cv2.IMREAD_COLOR), ids, quads, str(index))
     return tags
 
 
 def curve(tags: list[Tag]) -> dict[str, Any]:
-    """Shares that are read by contrast, and the contrast at which half are, with 95 %."""
+    """Shares that are read, by contrast; and at which contrast there are half as many as at high
+    ones; with 95 % over blocks.
+    """
     contrast, read = np.array([t.contrast for t in tags]), np.array([t.is_read for t in tags])
-    bins = np.digitize(contrast, EDGES) - 1
     _, unit, sizes = np.unique([t.block for t in tags], return_inverse=True, return_counts=True)
     picked = np.random.default_rng(0).integers(0, len(sizes), (RESAMPLES, len(sizes)))
     often = np.stack([np.bincount(row, minlength=len(sizes)) for row in picked])[:, unit]
-    halves = [half_read(contrast, read, row) for row in (np.ones(len(tags)), *often)]
-    rows = []
-    for place in range(len(EDGES) - 1):
+    bins, rows = np.digitize(contrast, EDGES), []
+    for place in range(1, len(EDGES)):
         inside = bins == place
-        if inside.sum() < 5:
-            continue
-        weights = often[:, inside]
-        with np.errstate(invalid="ignore"):
-            shares = weights @ read[inside] / weights.sum(1)
-        ends = np.nanpercentile(shares, (2.5, 97.5)).tolist()
-        row = {"contrast": float(np.median(contrast[inside])), "tags": int(inside.sum())}
-        rows.append({**row, "share": float(read[inside].mean()), "interval": ends})
+        if inside.sum() >= 5:
+            weights = often[:, inside]
+            shares = (weights @ read[inside]) / np.maximum(weights.sum(1), 1e-9)
+            row = {"contrast": float(np.median(contrast[inside])), "tags": int(inside.sum())}
+            row |= {"share": float(read[inside].mean())}
+            rows.append(row | {"interval": np.percentile(shares, (2.5, 97.5)).tolist()})
     return {
         "tags": len(tags),
-        "read": float(read.mean()),
         "sides_px": np.percentile([t.side for t in tags], (5, 50, 95)).tolist(),
-        "half": halves[0],
-        "half_interval": np.nanpercentile(halves[1:], (2.5, 97.5)).tolist(),
+        "half": half_read(contrast, read, np.ones(len(tags))),
+        "interval": np.percentile(
+            [half_read(contrast, read, row) for row in often], (2.5, 97.5)
+        ).tolist(),
         "bins": rows,
     }
 
 
 def half_read(contrast: Array, read: Array, weights: Array) -> float:
-    """Contrast at which a logistic curve over its logarithm is a half."""
+    """Where a logistic curve over the logarithm of contrast has half of its height."""
     log = np.log(np.maximum(contrast, 1))
 
     def loss(at: Array) -> float:
-        margin = np.exp(at[1]) * (log - at[0])
-        return float((weights * np.logaddexp(0, np.where(read, -margin, margin))).sum())
+        share = 1 / (1 + np.exp(-np.exp(at[1]) * (log - at[0]))) / (1 + np.exp(-at[2]))
+        return float(-(weights * np.log(np.where(read, share, 1 - share) + 1e-9)).sum())
 
-    return float(np.exp(minimize(loss, (np.log(20.0), 1.0), method="Nelder-Mead").x[0]))
+    begin = (np.log(20.0), 1.5, 3.0)
+    return float(np.exp(minimize(loss, begin, method="Nelder-Mead").x[0]))
+
+
+def drawn(curves: dict[str, Any]) -> None:
+    """The figure."""
+    figure = Figure((5, 3), layout="constrained")
+    axes = figure.subplots()
+    for (name, of), colour in zip(curves.items(), ("k", "#c1272d", "#0b6e99"), strict=True):
+        x, y = ([row[key] for row in of["bins"]] for key in ("contrast", "share"))
+        ends = np.array([row["interval"] for row in of["bins"]]).T
+        label = f"{name}: half at {of['half']:.0f}"
+        axes.plot(x, y, "o-", ms=3, color=colour, label=label)
+        axes.fill_between(x, *ends, color=colour, alpha=0.15, lw=0)
+    axes.set(xscale="log", xlabel="spread of green in the tag, of 255", ylabel="share read")
+    axes.set_xticks([5, 10, 20, 50, 100], ["5", "10", "20", "50", "100"])
+    axes.legend(fontsize=8)
+    FigureCanvasAgg(figure).print_png(FIGURES / "markers.png")
 
 
 def main(folder: Path) -> dict[str, Any]:
@@ -143,29 +149,38 @@ def main(folder: Path) -> dict[str, Any]:
     torch.set_num_threads(1)
     sys.path.insert(0, str(folder))
     kit = importlib.import_module("kit")
-    film = of_film(kit, folder)
-    sides = tuple(np.percentile([t.side for t in film], (2.5, 97.5)))
-    frames = kit.load("choose/tags", folder)
-    shown = [*tensors([frame.image.copy() for frame in frames[:: len(frames) // 5][:5]])]
-    air = [*tensors([x.image.copy() for x in kit.load("land/train", folder)[::22][:8]])]
-    plain = uwaug.RandomUnderwater(distance=DISTANCES)
-    wide = uwaug.RandomUnderwater(uwaug.RandomWater(contrast=CONTRASTS), distance=DISTANCES)
+    groups = json.loads((folder / "choose/groups.json").read_text())["tags"]
+    truth, frames = kit.tags("choose/tags", folder), kit.load("choose/tags", folder)
+    film: list[Tag] = []
+    for frame in frames:
+        boards = truth.get(frame.name, [])
+        quads = np.array([board["corners"] for board in boards])
+        ids = [board["id"] for board in boards]
+        film += tags_of(frame.image, ids, quads, groups[frame.name])
+    low, high = np.percentile([t.side for t in film], (2.5, 97.5))
+    names = sorted({board["id"] for boards in truth.values() for board in boards})
+    air = [sample.image for sample in kit.load("land/train", folder)]
+    shown, looked = (
+        [torch.from_numpy(picture.copy()).permute(2, 0, 1) for picture in some]
+        for some in ([f.image for f in frames[:: len(frames) // 5][:5]], air[::22][:8])
+    )
     curves = {"film": curve(film)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of contents and draws that are far: the sweep is wide
-        augments = {"defaults": wide, "like": uwaug.like(shown, air, augment=plain)}
+        water = uwaug.RandomWater(contrast=CONTRASTS)
+        plain = uwaug.RandomUnderwater(distance=DISTANCES)
+        augments = {
+            "RandomUnderwater": uwaug.RandomUnderwater(water, distance=DISTANCES),
+            "like of five frames": uwaug.like(shown, looked, augment=plain),
+        }
         for name, augment in augments.items():
-            curves[name] = curve(of_boards(kit, folder, augment, sides))
+            curves[name] = curve(of_boards(kit, air, augment, ids=names, low=low, high=high))
     for name, of in curves.items():
-        print(name, {key: value for key, value in of.items() if key != "bins"}, flush=True)
-        for row in of["bins"]:
-            print("  ", row)
+        print(name, of, flush=True)
+    save("markers", {"scenes": SCENES, "contrasts": CONTRASTS, "curves": curves})
+    drawn(curves)
     return curves
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--kit", type=Path, required=True)
-    main(parser.parse_args().kit)
+    main(parser(__doc__).parse_args().kit)
