@@ -347,15 +347,14 @@ def detector() -> str:
     tables = list(found["tables"].values())
     rows = [[arm, *(_spread(of[arm]) for of in tables)] for arm in tables[0]]
     nets = max(len(row["nets"]) for row in tables[0].values())
-    how = found["tuning"]
     halves = ", ".join(
         f"{name} at {of['half']:.0f} ({of['interval'][0]:.0f}–{of['interval'][1]:.0f})"
         for name, of in markers["curves"].items()
     )
     return (
-        f"{nets} net{'s' * (nets > 1)} an arm, {how['steps']} steps of 8 pictures at "
-        f"{found['side']} px. AP50 of persons, in brackets what it has more than the defaults, and "
-        "its interval of 95 % over blocks, bold where that leaves out 0:\n\n"
+        f"{nets} net{'s' * (nets > 1)} an arm, {found['steps']} steps of {found['batch']} pictures "
+        f"at {found['side']} px. AP50 of persons, in brackets what it has more than the defaults, "
+        "and its interval of 95 % over blocks, bold where that leaves out 0:\n\n"
         + table(["tuned on", *head], rows)
         + f"\n\n**Markers**, half as many read as at high contrast: {halves} of 255 levels.\n\n"
         "![Share of tags that are read against contrast: film and uwaug](figures/markers.png)"
