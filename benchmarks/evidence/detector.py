@@ -32,6 +32,7 @@ from torch.nn.functional import affine_grid, grid_sample, interpolate
 
 from benchmarks.evidence.arms import ARMS, DEFAULTS, SHOWN, Arm, tensors
 from benchmarks.evidence.boxes import average_precisions, loss_of, matched
+from benchmarks.evidence.net import resampled_units
 from benchmarks.evidence.tasks import Array, Pool, made_up
 from benchmarks.harness import save
 
@@ -45,7 +46,6 @@ BATCH = 8
 DRAWS = 2  # of each picture and its distances
 WINDOWS = (0.7, 1.4)  # sizes at which pictures are seen, of their own
 LEAST_LEFT = 0.4  # share of a box that a window must hold
-RESAMPLES = 1000
 TRIALS = 300  # of `uwaug.like`
 
 TESTS = ("choose/divers", "choose/swimmers", "choose/pools", "land/val")
@@ -96,9 +96,8 @@ def made(name: str, shown: list[Array], scenes: list[Scene], maps: list[Tensor])
         return ARMS[name]()
     some = range(0, len(scenes), len(scenes) // 8)
     pairs = [torch.cat([scenes[place].image, maps[place]])[None] for place in some]
-    images, distances = torch.cat([interpolate(pair, (192, 256)) for pair in pairs]).split(
-        (3, 1), 1
-    )
+    small = torch.cat([interpolate(pair, (192, 256)) for pair in pairs])
+    images, distances = small.split((3, 1), 1)
     return SHOWN[name](shown, Pool(images, distances, torch.arange(len(images))), TRIALS)
 
 
@@ -231,10 +230,8 @@ class Bench(NamedTuple):
         """Of each arm: mean AP50, that of its nets, the difference to the defaults, and intervals
         of 95 % of both over blocks. They know nothing of other nets.
         """
-        _, unit, sizes = np.unique(self.blocks[name], return_inverse=True, return_counts=True)
-        picked = np.random.default_rng(0).integers(0, len(sizes), (RESAMPLES, len(sizes)))
-        often = np.stack([np.bincount(row, minlength=len(sizes)) for row in picked])[:, unit]
-        weights = np.concatenate([np.ones((1, len(unit))), often])
+        often = resampled_units(self.blocks[name])
+        weights = np.concatenate([np.ones_like(often[:1]), often])
         of_nets = {
             arm: np.stack([self.scores(name, net, weights) for net in nets])
             for arm, nets in answers.items()
@@ -277,14 +274,8 @@ def main(
         name: {"pictures": len(some), "boxes": sum(len(x.boxes) for x in some)}
         for name, some in bench.tests.items()
     }
-    results = {
-        "steps": STEPS,
-        "rate": RATE,
-        "batch": BATCH,
-        "side": SIDE,
-        "sets": counts,
-        "tables": tables,
-    }
+    how = {"steps": STEPS, "rate": RATE, "batch": BATCH, "side": SIDE}
+    results = {**how, "sets": counts, "tables": tables}
     save("detector", results)
     for name, rows in tables.items():
         print(name, *(f"{arm} {row['score']:.3f}" for arm, row in rows.items()), sep="; ")

@@ -22,9 +22,11 @@ import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.optimize import minimize
+from scipy.special import expit
 
 import uwaug
 from benchmarks.evidence.detector import parser
+from benchmarks.evidence.net import resampled_units
 from benchmarks.evidence.tasks import Array
 from benchmarks.figures.charts import FIGURES
 from benchmarks.harness import save
@@ -93,9 +95,7 @@ def curve(tags: list[Tag]) -> dict[str, Any]:
     ones; with 95 % over blocks.
     """
     contrast, read = np.array([t.contrast for t in tags]), np.array([t.is_read for t in tags])
-    _, unit, sizes = np.unique([t.block for t in tags], return_inverse=True, return_counts=True)
-    picked = np.random.default_rng(0).integers(0, len(sizes), (RESAMPLES, len(sizes)))
-    often = np.stack([np.bincount(row, minlength=len(sizes)) for row in picked])[:, unit]
+    often = resampled_units([t.block for t in tags], RESAMPLES)
     bins, rows = np.digitize(contrast, EDGES), []
     for place in range(1, len(EDGES)):
         inside = bins == place
@@ -121,7 +121,7 @@ def half_read(contrast: Array, read: Array, weights: Array) -> float:
     log = np.log(np.maximum(contrast, 1))
 
     def loss(at: Array) -> float:
-        share = 1 / (1 + np.exp(-np.exp(at[1]) * (log - at[0]))) / (1 + np.exp(-at[2]))
+        share = expit(np.exp(at[1]) * (log - at[0])) * expit(at[2])
         return float(-(weights * np.log(np.where(read, share, 1 - share) + 1e-9)).sum())
 
     begin = (np.log(20.0), 1.5, 3.0)
