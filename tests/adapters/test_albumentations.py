@@ -16,6 +16,7 @@ from uwaug.adapters.albumentations import AlbumentationsUnderwater  # noqa: E402
 AUGMENT = RandomUnderwater(RandomWater(["II", "7C"], contrast=(0.2, 0.4), contrast_by="contents"))
 TARGETS = {"distance": "mask"}
 H, W = 24, 33
+MASK = np.zeros((H, W), np.uint8)  # AlbumentationsX moves a map only beside a mask
 
 
 def array(dtype: str = "uint8") -> Any:
@@ -42,17 +43,42 @@ def ours(image: Any, distance: Any, record: Any) -> Any:
     return AUGMENT.transform(taken, z, record).permute(1, 2, 0).numpy()
 
 
+def record_of(made: Any) -> Any:
+    """The draw of a pipeline's last call; AlbumentationsX has it beside other things."""
+    applied = made.transforms[-1].get_applied_params()
+    return applied.get("params", applied)["record"]
+
+
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
 def test_picture_and_map_move_together(dtype: str) -> None:
     moves = [A.HorizontalFlip(p=1), A.Crop(2, 3, 30, 20, p=1)]
     made = pipeline(*moves, water(), save_applied_params=True)
-    result = made(image=array(dtype), distance=metres())
+    result = made(image=array(dtype), mask=MASK, distance=metres())
     moved = (array(dtype)[:, ::-1][3:20, 2:30], metres()[:, ::-1][3:20, 2:30])
     assert result["image"].dtype == dtype
     assert np.array_equal(result["distance"], moved[1])
-    record = result["applied_transforms"][-1][1]["record"]
+    record = record_of(made)
     assert np.array_equal(result["image"], ours(*moved, record))
     assert not np.array_equal(result["image"], moved[0])
+
+
+@pytest.mark.parametrize("shape", [(H, W), (H, W, 1), (H, W, 3)])
+@pytest.mark.parametrize("white", [255, 65535])
+def test_grey_and_16_bits_are_taken_as_in_files(shape: tuple[int, ...], white: int) -> None:
+    kind = np.uint8 if white == 255 else np.uint16
+    values = np.random.default_rng(0).integers(0, white + 1, shape, dtype=kind)
+    colour = np.broadcast_to(values.reshape(H, W, -1), (H, W, 3))
+    record = AUGMENT.make_params(torch.empty(3, H, W))
+    expected = ours(colour if white == 255 else colour / np.float32(65535), metres(), record)
+    if white == 65535:
+        expected = np.rint(expected.clip(0, 1) * 65535)
+    targets = {"image": values, "distance": metres()}
+    made = water().apply_with_params({"record": record}, **targets)["image"]
+    assert made.dtype == kind
+    assert np.array_equal(made, expected)
+    film = {"images": np.stack([values] * 2), "distances": np.stack([metres()] * 2)}
+    for frame in water().apply_with_params({"record": record}, **film)["images"]:
+        assert np.abs(frame.astype(int) - made).max() <= white // 255
 
 
 def test_labels_are_left_alone() -> None:
@@ -68,8 +94,8 @@ def test_labels_are_left_alone() -> None:
 
 def test_the_pipeline_seeds_the_draws() -> None:
     def drawn(seed: int) -> list[bytes]:
-        made = pipeline(water(p=0.5), seed=seed)
-        return [made(image=array(), distance=metres())["image"].tobytes() for _ in range(8)]
+        made, data = pipeline(water(p=0.5), seed=seed), {"mask": MASK, "distance": metres()}
+        return [made(image=array(), **data)["image"].tobytes() for _ in range(8)]
 
     first, again, other = drawn(1), drawn(1), drawn(2)
     assert first == again != other
@@ -80,17 +106,17 @@ def test_the_pipeline_seeds_the_draws() -> None:
 
 def test_replay_takes_the_new_map() -> None:
     replayed = A.ReplayCompose([A.HorizontalFlip(p=0.5), water()], additional_targets=TARGETS)
-    result = replayed(image=array(), distance=metres())
+    result = replayed(image=array(), mask=MASK, distance=metres())
     replay = json.loads(json.dumps(result["replay"]))
-    again = A.ReplayCompose.replay(replay, image=array(), distance=metres())
+    again = A.ReplayCompose.replay(replay, image=array(), mask=MASK, distance=metres())
     assert np.array_equal(again["image"], result["image"])
-    farther = A.ReplayCompose.replay(replay, image=array(), distance=metres() + 3)
+    farther = A.ReplayCompose.replay(replay, image=array(), mask=MASK, distance=metres() + 3)
     assert not np.array_equal(farther["image"], result["image"])
 
 
 def test_written_and_read() -> None:
-    made = pipeline(water(scale=0.01, channels="bgr"))
-    data = {"image": array(), "distance": 100 * metres()}
+    made = A.Compose([water(scale=0.01, channels="bgr", distance_key="mask")])
+    data = {"image": array(), "mask": 100 * metres()}
     for read in (
         A.from_dict(json.loads(json.dumps(A.to_dict(made)))),
         pickle.loads(pickle.dumps(made)),
@@ -116,39 +142,40 @@ def test_each_picture_of_a_pair_has_its_own_map() -> None:
         save_applied_params=True,
     )
     maps = {"distance": metres(), "distance2": 2 * metres(), "distance_right": metres()[::-1]}
-    result = made(image=array(), image2=array(), right=array(), **maps)
-    record = result["applied_transforms"][-1][1]["record"]
+    result = made(image=array(), image2=array(), right=array(), mask=MASK, **maps)
+    record = record_of(made)
     flipped = array()[:, ::-1]
     for image, z in zip(("image", "image2", "right"), maps.values(), strict=True):
         assert np.array_equal(result[image], ours(flipped, z[:, ::-1], record))
     assert not np.array_equal(result["image"], result["image2"])
     maps.pop("distance2")
     with pytest.raises(ValueError, match="distance2 is missing, for image2: pass a map"):
-        made(image=array(), image2=array(), right=array(), **maps)
+        made(image=array(), image2=array(), right=array(), mask=MASK, **maps)
 
 
 def test_several_images_are_a_film() -> None:
     frames = np.stack([array(), array()[:, ::-1], array()[::-1]])
     maps = np.stack([metres(), 3 * metres(), 5 * metres()])
     kinds = {"distances": "masks"}
+    masks = np.stack([MASK] * 3)
     made = A.Compose(
         [A.HorizontalFlip(p=1), water()], additional_targets=kinds, seed=1, save_applied_params=True
     )
-    result = made(images=frames, distances=maps)
-    record = result["applied_transforms"][-1][1]["record"]
+    result = made(images=frames, masks=masks, distances=maps)
+    record = record_of(made)
     frames, maps = frames[:, :, ::-1], maps[:, :, ::-1]
     taken = [torch.from_numpy(each.copy()) for each in (frames, maps)]
     batch, z = taken[0].movedim(-1, 1), taken[1][:, None]
     film = AUGMENT.for_clip(record, batch[1], z[1])  # settled on the middle one
     expected = AUGMENT.transform(batch, z, film).movedim(1, -1).numpy()
     assert np.array_equal(result["images"], expected)
-    still = A.Compose([water()], additional_targets=kinds, seed=2)
-    same = still(images=np.stack([array()] * 3), distances=np.stack([metres()] * 3))["images"]
+    still = A.Compose([water(distance_key="mask")], seed=2)
+    same = still(images=np.stack([array()] * 3), masks=np.stack([metres()] * 3))["images"]
     assert np.array_equal(same[0], same[2])
     # a map that all frames share, and none
     shared = A.Compose([water()], additional_targets={"distances": "mask"}, seed=2)
     assert np.array_equal(
-        shared(images=np.stack([array()] * 3), distances=metres())["images"], same
+        shared(images=np.stack([array()] * 3), mask=MASK, distances=metres())["images"], same
     )
     one_by_one = water()(images=[array()] * 2, distances=[metres()] * 2)["images"]
     assert np.array_equal(one_by_one[0], one_by_one[1])
@@ -182,6 +209,8 @@ def test_refusals(options: dict[str, Any], data: dict[str, Any], message: str) -
 @pytest.mark.parametrize("targets", [{}, {"distance": "image"}])
 def test_a_map_that_would_not_move_is_refused(targets: dict[str, str]) -> None:
     with pytest.raises(ValueError, match="distance would not move with image"):
-        A.Compose([water()], additional_targets=targets)(image=array(), distance=metres())
+        A.Compose([water()], additional_targets=targets)(
+            image=array(), mask=MASK, distance=metres()
+        )
     with pytest.raises(ValueError, match=r"distances would not move with images: .*'masks'"):
         A.Compose([water()])(images=array()[None], distances=metres()[None])

@@ -92,6 +92,18 @@ def test_the_line_for_torchvision(torchvision: Any) -> None:
     assert 0 < sum(wet) < 8
 
 
+def test_kornias_containers_pass_no_map() -> None:
+    from kornia.augmentation import AugmentationSequential, RandomHorizontalFlip
+
+    images, maps = torch.rand(2, 3, 24, 32), torch.rand(2, 1, 24, 32) + 1
+    flip, keys, water = RandomHorizontalFlip(p=1.0), ["input", "mask"], uwaug.RandomUnderwater()
+    with pytest.raises(ValueError, match="kornia's containers pass a picture alone"):
+        AugmentationSequential(flip, water, data_keys=keys)(images, maps)
+    wet, moved = water(*AugmentationSequential(flip, data_keys=keys)(images, maps))
+    assert torch.equal(moved, maps.flip(-1))
+    assert not torch.equal(wet, images.flip(-1))
+
+
 def test_the_line_for_ultralytics() -> None:
     A = pytest.importorskip("albumentations")
     from uwaug.adapters.albumentations import AlbumentationsUnderwater

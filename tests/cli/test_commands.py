@@ -12,6 +12,7 @@ from PIL import ExifTags, Image
 
 import uwaug
 from uwaug.distance import MadeUp, Metres, Plane, Relative
+from uwaug.transforms.random_underwater import SEVERITIES
 
 
 @pytest.fixture
@@ -41,6 +42,28 @@ def test_the_example_of_degrade_runs_on_a_depth_cameras_maps(folder, run):
     }
     with open("wet/index.csv", newline="") as file:
         assert [row["status"] for row in csv.DictReader(file)] == ["written", "written"]
+
+
+def test_grades_and_maps(folder, run):
+    line = ("degrade", "photos", *MAPS, "--out")
+    code, out, err = run(*line, "graded", "--severity", "all")
+    assert (code, err) == (0, "")
+    for level, contrast in SEVERITIES.items():
+        assert f"2 of 2 pictures written to {Path('graded', str(level))}" in out
+        record = json.loads(Path(f"graded/{level}/a.png.json").read_text())
+        assert record["params"]["samples"][0]["water"]["contrast"] == contrast
+        assert record["truth"] is None
+    code, out, err = run(*line, "pairs", "--severity", "3", "--maps", "npy")
+    assert (code, err) == (0, "")
+    assert written(folder / "pairs") == written(folder / "graded" / "3")
+    truth = json.loads(Path("pairs/a.png.json").read_text())["truth"]
+    signal, veil, z = (np.load(f"pairs/maps/a_{name}.npy") for name in ("signal", "veil", "z"))
+    assert (signal.shape, z.shape) == ((24, 32, 3), (24, 32))
+    light = (signal + veil) @ np.array(truth["gain"]).T
+    assert np.isfinite(light).all()
+    assert {*truth["coefficients"]} == {"beta_d", "beta_b", "b_inf", "ambient", "rmse"}
+    assert run(*line, "pairs", "--water", "II", "--force")[0] == 0
+    assert not list(Path("pairs/maps").iterdir())  # they were of another water
 
 
 def written(folder):
@@ -123,8 +146,8 @@ def test_pictures_like_a_photograph(folder, run, monkeypatch):
     Image.fromarray(murky).save(folder / "green.png")
     line = ("degrade", "photos", *MAPS, "--like", "green.png", "--contrast", ".2:.5", "--out")
     code, out, err = run(*line, "wet")
-    assert (code, err) == (0, "")
-    assert re.search("like green.png: (near|fair|far from anything that water can do): ", out)
+    assert (code, err) == (0, "looking for waters like the photographs\n")
+    assert re.search("like green.png: (near|fair|far from all that was tried): ", out)
     assert "2 of 2 pictures written to wet" in out
     recipe = json.loads((folder / "wet/a.png.json").read_text())["recipe"]
     transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
@@ -285,6 +308,9 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("degrade photos --distance 3 --water 4C --out wet", "water must be one of"),
         ("degrade photos --distance 3 --preset nothing --out wet", "nothing"),
         ("degrade photos --like nothing.png --out wet", "nothing.png"),
+        ("degrade photos --severity 6 --out wet", "1 (mild) to 5 (severe), or all, got '6'"),
+        ("degrade photos --severity 2 --contrast .5 --out wet", "--severity is a contrast"),
+        ("degrade photos --maps png --out wet", "maps must be"),
         ("export --out x.onnx", "--preset"),
         ("export survey --preset survey --out x.onnx", "give one preset"),
         ("export nothing --out x.onnx", "nothing"),
@@ -326,7 +352,7 @@ def test_what_is_refused_in_one_line(folder, run, line, words):
 
 def test_demo_draws_the_scene(small, run, tmp_path):
     code, out, err = run("demo", "--out", str(tmp_path / "demo"))
-    assert (code, err) == (0, "")
+    assert (code, err.count("drawing ")) == (0, 4)
     assert "4 pictures" in out
     assert len(list((tmp_path / "demo").iterdir())) == 4
 
@@ -334,7 +360,7 @@ def test_demo_draws_the_scene(small, run, tmp_path):
 def test_plot_and_compare_draw_a_picture_of_ones_own(folder, run):
     scene = ("photos/a.png", "--distance", "depth/a.png", "--unit", "mm", "--holes", "behind")
     code, out, err = run("plot", *scene, "--water", "3C")
-    assert (code, err) == (0, "")
+    assert (code, err) == (0, "drawing 1-waters.jpg\ndrawing 2-terms.jpg\n")
     assert "unknown" in out  # what was done to holes
     systems = ("--system", "akkaynak-2018", "--system", "UWCNN", "--stretch", ".2")
     assert run("compare", *scene, *systems, "--out", "systems.jpg")[0] == 0

@@ -9,10 +9,11 @@ import pytest
 import tifffile
 import torch
 from filing import H, W, metres, pixels, save, words
-from PIL import ExifTags, Image, ImageOps
+from imagecodecs import cms_profile
+from PIL import ExifTags, Image, ImageCms, ImageOps
 
 from uwaug.files import read_distance, read_picture, write_picture
-from uwaug.files.pictures import orientation_of
+from uwaug.files.pictures import orientation_of, profile_of
 
 NAMES = {
     "uint8": ("a.png", "a.TIF", "a.npy"),
@@ -64,6 +65,81 @@ def test_other_programs_files(tmp_path: Path) -> None:
     assert torch.equal(read_picture(tmp_path / "a.tif"), expected)
     save(tmp_path / "b.png", words())
     assert torch.equal(read_picture(tmp_path / "b.png"), picture("uint16"))
+
+
+def _profile(primaries: list[float]) -> bytes:
+    """Colour profile with these x, y of red, green and blue, white D65 and gamma 2.2."""
+    corners = [(x, y, 1.0) for x, y in zip(primaries[::2], primaries[1::2], strict=True)]
+    numbers = [number for corner in corners for number in corner]
+    white = [0.3127, 0.329, 1.0]
+    return bytes(cms_profile("rgb", whitepoint=white, primaries=numbers, gamma=2.2))
+
+
+def _to_xyz(primaries: list[float]) -> Any:
+    """Matrix from light of these primaries to X, Y, Z of white D65."""
+    x, y = np.reshape(primaries, (3, 2)).T
+    columns = np.stack([x / y, np.ones(3), (1 - x - y) / y])
+    return columns * np.linalg.solve(columns, [0.3127 / 0.329, 1, 0.3583 / 0.329])
+
+
+DISPLAY_P3 = [0.68, 0.32, 0.265, 0.69, 0.15, 0.06]
+ADOBE_RGB = [0.64, 0.33, 0.21, 0.71, 0.15, 0.06]
+SRGB = [0.64, 0.33, 0.3, 0.6, 0.15, 0.06]
+
+
+@pytest.mark.parametrize("primaries", [DISPLAY_P3, ADOBE_RGB])
+@pytest.mark.parametrize("name, levels", [("a.png", 0.7), ("a.tif", 0.7), ("b.tif", 0.2)])
+def test_colour_profiles_become_srgb(
+    tmp_path: Path, primaries: list[float], name: str, levels: float
+) -> None:
+    path, profile = tmp_path / name, _profile(primaries)
+    if name == "b.tif":
+        tags = [(34675, 7, len(profile), profile, True)]
+        save(path, pixels().astype(np.uint16) * 257, photometric="rgb", extratags=tags)
+    else:
+        Image.fromarray(pixels()).save(path, icc_profile=profile)
+    to_srgb = np.linalg.inv(_to_xyz(SRGB)) @ _to_xyz(primaries)
+    light = ((pixels() / 255) ** 2.2 @ to_srgb.T).clip(0, 1)
+    expected = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    image = read_picture(path)
+    shares = image / (255 if image.dtype == torch.uint8 else 1)
+    assert np.abs(shares.permute(1, 2, 0).numpy() - expected).max() * 255 < levels
+    assert profile_of(path) == profile
+
+
+def test_srgb_by_its_profile_stays(tmp_path: Path) -> None:
+    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    for name, profile in (("a.png", srgb), ("b.tif", srgb), ("c.png", b"no profile")):
+        Image.fromarray(pixels()).save(tmp_path / name, icc_profile=profile)
+        assert profile_of(tmp_path / name) == b""
+        assert np.array_equal(read_picture(tmp_path / name).permute(1, 2, 0), pixels())
+    light = tmp_path / "light.png"
+    Image.fromarray(pixels()).save(light, icc_profile=_profile(DISPLAY_P3))
+    assert np.array_equal(read_picture(light, "linear").permute(1, 2, 0), pixels())
+
+
+@pytest.mark.parametrize("name", ["a.png", "b.png", "c.exr"])
+def test_transparent_pictures_before_a_colour(tmp_path: Path, name: str) -> None:
+    alpha = np.linspace(0, 1, H * W).reshape(H, W, 1).round(1)
+    colour, behind = pixels() / 255, np.array([255, 128, 0]) / 255
+    expected = colour * alpha + behind * (1 - alpha)
+    path = tmp_path / name
+    if name == "c.exr":
+        OpenEXR = pytest.importorskip("OpenEXR")
+        behind = ((behind + 0.055) / 1.055) ** 2.4 * (behind > 0)
+        expected = colour * alpha + behind * (1 - alpha)
+        layers = {"RGBA": np.concatenate([colour * alpha, alpha], 2).astype(np.float32)}
+        OpenEXR.File({"type": OpenEXR.scanlineimage}, layers).write(str(path))
+    else:
+        kind, white = (np.uint8, 255) if name == "a.png" else (np.uint16, 65535)
+        values = np.rint(np.concatenate([colour, alpha], 2) * white).astype(kind)
+        save(path, values)
+    space: Any = "linear" if name == "c.exr" else "srgb"
+    image = read_picture(path, space, "#ff8000").permute(1, 2, 0).numpy()
+    image = image / (255 if image.dtype == np.uint8 else 1)
+    assert np.abs(image - expected).max() < (1.01 / 255 if name == "a.png" else 1e-4)
+    with pytest.raises(ValueError, match=r"without alpha, or give a background"):
+        read_picture(path, space)
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

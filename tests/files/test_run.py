@@ -213,7 +213,8 @@ def test_a_film_is_not_settled_on_a_frame_that_has_changed() -> None:
 def test_odd_scenes_are_told_of() -> None:
     save("depth/1.npy", 50 * metres(H, W))
     assert degrade(Recipe(WATER), items(), "blank").blank == ["1.png"]
-    recipe = Recipe(RandomUnderwater(RandomWater(contrast=0.4)))
+    water = RandomWater("7C", contrast=0.4, contrast_by="contents")
+    recipe = Recipe(RandomUnderwater(water))
     summary = degrade(recipe, items(), "out")
     (odd,) = summary.odd
     assert odd.startswith("1.png: a median of ")
@@ -326,7 +327,7 @@ def test_replay() -> None:
         replay("out/2.png.json", "again.png", picture="moved.png", force=True)
 
 
-@pytest.mark.parametrize("name", ["uwaug", "torch"])
+@pytest.mark.parametrize("name", ["uwaug", "torch", "numba"])
 def test_records_of_another_version_say_so(name: str) -> None:
     degrade(RECIPE, items()[:1], "new")
     record = read_record(Path("new/0.png.json"))
@@ -334,6 +335,18 @@ def test_records_of_another_version_say_so(name: str) -> None:
     write_record(Path("old.json"), {**record, name: "0.0.1"})
     with pytest.warns(UserWarning, match=rf"old.json was written by .*{name} 0\.0\.1.*: defaults"):
         replay("old.json", "again.png")
+
+
+def test_a_record_says_whether_the_loops_made_its_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    numba = pytest.importorskip("numba")
+    degrade(RECIPE, items()[:1], "new")
+    assert read_record(Path("new/0.png.json"))["numba"] == numba.__version__
+    monkeypatch.setenv("UWAUG_FAST", "0")
+    with pytest.warns(UserWarning, match=r"0\.png\.json was written by .* and numba "):
+        replay("new/0.png.json", "again.png")
+    apart = (read_picture("again.png").int() - read_picture("new/0.png").int()).abs()
+    assert apart.max() <= 1
+    assert apart.float().mean() < 1e-3
 
 
 def test_a_medium_under_lamps_is_made_again_from_its_record() -> None:
@@ -411,6 +424,93 @@ def test_what_has_changed_is_not_taken_for_what_it_was(file: str, other: str) ->
     record, label = "images/1.png.json", "labels/1.txt"
     assert content("out")[record] != before[record]
     assert (content("out")[label] != before[label]) == (other == "labels")
+
+
+@pytest.mark.parametrize("options", [{"resume": True}, {"force": True}])
+@pytest.mark.parametrize(
+    "own, failures",
+    [
+        ("index.csv", None),
+        ("sheet.jpg", None),
+        ("data.yaml", None),
+        ("train.txt", None),
+        ("images/1.png", 1),
+        ("images/1.png.json", 1),
+        ("labels/1.txt", 1),
+    ],
+)
+def test_only_what_a_run_has_written_is_replaced(
+    own: str, failures: int | None, options: dict[str, bool]
+) -> None:
+    Path("labels").mkdir()
+    for number in range(4):
+        Path(f"labels/{number}.txt").write_text("0 .5 .5 1 1\n")
+    recipe, path = Recipe(WATER, labels="labels"), Path("out", own)
+    path.parent.mkdir(parents=True)
+    path.write_text("mine")
+    if failures is None:
+        with pytest.raises(FileExistsError, match=f"out/{own} was not written by a run: move it"):
+            degrade(recipe, items(), "out", sheet=True, **options)
+        assert content("out") == {own: b"mine"}
+    else:
+        (failure,) = degrade(recipe, items(), "out", **options).failures
+        assert f"out/{own} was not written by a run: move it" in failure
+        assert path.read_text() == "mine"
+        path.unlink()
+        assert degrade(recipe, items(), "out", **options).failures == []
+
+
+@pytest.mark.parametrize("options", [{"resume": True}, {"force": True}])
+def test_own_files_stay_where_their_picture_fails(options: dict[str, bool]) -> None:
+    save("own/1.png", pixels(seed=9))
+    before = Path("own/1.png").read_bytes()
+    Path("all/1.png").write_bytes(b"")
+    assert statuses(degrade(RECIPE, items(), "own", **options)).count("written") == 3
+    assert Path("own/1.png").read_bytes() == before
+    assert degrade(RECIPE, items()[1:2], "own/1.png", force=True).count("failed") == 1
+    assert Path("own/1.png").read_bytes() == before
+
+
+def test_an_index_of_ones_own_makes_a_folder_full() -> None:
+    Path("out").mkdir()
+    Path("out/index.csv").write_text("name,species\n")
+    with pytest.raises(FileExistsError, match="out is not empty"):
+        degrade(RECIPE, items(), "out")
+    assert Path("out/index.csv").read_text() == "name,species\n"
+
+
+def test_a_description_that_was_edited_stays() -> None:
+    Path("labels").mkdir()
+    Path("labels/0.txt").write_text("2 .5 .5 1 1\n")
+    recipe, file = Recipe(WATER, labels="labels"), Path("out/data.yaml")
+    degrade(recipe, items()[:1], "out")
+    text = file.read_text()
+    assert "nc: 3" in text
+    file.write_text(text.replace("nc: 3", "names: [crab, eel, ray]"))
+    resumed = degrade(recipe, items(), "out", resume=True)
+    assert "out/data.yaml stays, with other content" in resumed.notes[-1]
+    assert "eel" in file.read_text()
+    assert "3.png" in Path("out/train.txt").read_text()
+    # nothing made, nothing listed anew
+    before = content("out")
+    degrade(replace(recipe, seed=1), items(), "out", resume=True)
+    assert {**content("out"), "index.csv": b""} == {**before, "index.csv": b""}
+    degrade(recipe, items(), "out", force=True)
+    assert file.read_text() == text
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are bytes on Linux alone")
+def test_a_name_that_is_not_utf_8_fails_alone(run: Callable[..., tuple[int, str, str]]) -> None:
+    name = os.fsdecode(b"all/caf\xe9.png")
+    save("all/0.png", pixels()).rename(name)
+    code, out, err = run("degrade", "all", "--distance", "3", "--out", "out", "--workers", "1")
+    assert (code, "3 of 4 pictures" in out) == (1, True)
+    assert "caf\\xe9.png: the name of its file, or of a folder, is not UTF-8: rename it" in err
+    with open("out/index.csv", encoding="utf-8", newline="") as file:
+        rows = {row["name"]: row["status"] for row in csv.DictReader(file)}
+    assert rows["caf\\xe9.png"] == "failed"
+    assert [*rows.values()].count("written") == 3
+    assert find_items("all", "depth")[-1].distance == Path(os.fsdecode(b"depth/caf\xe9"))
 
 
 def test_a_picture_that_fails_leaves_nothing_of_before() -> None:

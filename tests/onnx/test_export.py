@@ -34,7 +34,7 @@ pytest.importorskip("onnxruntime")
 
 MEDIUM = Medium.from_coefficients((1.0, 0.8, 0.9), (0.4, 0.3, 0.5), (0.1, 0.3, 0.4))
 CLEAR = Underwater(MEDIUM, (1.0, 5.0))  # without a blur, as to export each takes seconds
-LIGHT = Light([Lamp((0.3, -0.2, 0.0), power=4.0, aim=(-0.05, 0.05, 1.0), cone=40.0)], pitch=10.0)
+LIGHT = Light([Lamp((0.3, -0.2, 0.0), power=40.0, aim=(-0.05, 0.05, 1.0), cone=40.0)], pitch=10.0)
 
 
 @pytest.mark.parametrize("name", ["frozen", "waters"])
@@ -110,27 +110,33 @@ def test_one_file_serves_many_waters_at_once(waters) -> None:
     torch.testing.assert_close(torch.from_numpy(raw), result, rtol=0, atol=0)
 
 
-def test_a_copy_in_half_precision_runs(frozen, tmp_path) -> None:
+def half_of(path: Path) -> OnnxUnderwater:
+    """A file's copy in half precision, as the guide makes it."""
     from onnxruntime.transformers import float16
 
     kept = [*float16.DEFAULT_OP_BLOCK_LIST, "ScatterElements"]
     with warnings.catch_warnings():  # of numbers that are rounded
         warnings.simplefilter("ignore")
         half = float16.convert_float_to_float16(
-            onnx.load(frozen[0]), keep_io_types=True, op_block_list=kept
+            onnx.load(path), keep_io_types=True, op_block_list=kept
         )
-    onnx.save(half, tmp_path / "half.onnx")
+    onnx.save(half, path.with_name("half.onnx"))
+    return OnnxUnderwater(path.with_name("half.onnx"))
+
+
+def test_a_copy_in_half_precision_runs(frozen) -> None:
     image, distance = scene(1)
     distance[..., :5] = torch.inf
-    run, exact = OnnxUnderwater(tmp_path / "half.onnx"), OnnxUnderwater(frozen[0])
-    assert 0 < (run(image, distance) - exact(image, distance)).abs().max() < 0.005
+    off = half_of(frozen[0])(image, distance) - OnnxUnderwater(frozen[0])(image, distance)
+    assert 0 < off.abs().max() < 0.005
+    assert off.square().mean().sqrt() < 0.0005
 
 
-@pytest.mark.parametrize("coefficients", [False, True])
-def test_a_file_with_a_lamp(tmp_path, coefficients) -> None:
+@pytest.mark.parametrize(("coefficients", "space"), [(False, "srgb"), (True, "linear")])
+def test_a_file_with_a_lamp(tmp_path, coefficients, space) -> None:
     medium = Medium.from_water("7C", vertical_depth=10.0, point_spread=PointSpread.none())
-    lit = {"light": LIGHT, "development": Development(metered=True)}
-    module = Underwater(medium, (NEAR, FAR), COARSE, sides=(1, 144), **lit)
+    lit = {"light": LIGHT, "development": Development(metered=space == "srgb")}
+    module = Underwater(medium, (NEAR, FAR), COARSE, space, sides=(1, 144), **lit)
     said: list[str] = []
     options = {"coefficients": coefficients, "progress": said.append}
     path = export_onnx(module, tmp_path / "lamp.onnx", **options)
@@ -140,15 +146,19 @@ def test_a_file_with_a_lamp(tmp_path, coefficients) -> None:
     run, (image, distance) = OnnxUnderwater(path), scene(1)
     if not coefficients:
         assert (run(image, distance) - module(image, distance)).abs().max() < 2e-4
+        off = half_of(path)(image, distance) - run(image, distance)
+        assert 0.001 < off.abs().max() < 0.015
+        assert off.square().mean().sqrt() < 0.0005
         with pytest.raises(ValueError, match="light: the file takes none"):
             run(image, distance, light=LIGHT)
         return
     lamp = replace(LIGHT.lamps[0], power=1.5, color=(1.0, 0.7, 0.4))
     other = Medium.from_water("II", point_spread=PointSpread.none())
     for light in (LIGHT, Light([lamp], pitch=-25.0), Light([replace(lamp, power=0.0)], pitch=0.0)):
-        exact = Underwater(other, (NEAR, FAR), COARSE, sides=(1, 144), **{**lit, "light": light})
-        apart = run(image, distance, other, light) - exact(image, distance)
-        assert apart.abs().max() < 2e-4
+        options = {**lit, "light": light, "sides": (1, 144)}
+        exact = Underwater(other, (NEAR, FAR), COARSE, space, **options)(image, distance)
+        apart = run(image, distance, other, light) - exact
+        assert apart.abs().max() < 2e-5 * exact.max()
     for light in (Light([lamp]), Light(pitch=3.0), Light([replace(lamp, cone=30.0)], pitch=3.0)):
         with pytest.raises(ValueError, match="light: the file takes lamps of other power"):
             run(image, distance, other, light)

@@ -47,6 +47,10 @@ def test_arrays_and_other_types_are_taken(frozen) -> None:
     assert isinstance(of_array, np.ndarray)
     np.testing.assert_array_equal(of_array, wanted.numpy())
     torch.testing.assert_close(run(image.double(), distance), wanted, rtol=0, atol=0)
+    of_bytes, exact = (255 * image).byte(), frozen[1]((255 * image).byte(), distance)
+    assert run(of_bytes, distance).dtype == torch.uint8
+    assert (run(of_bytes, distance).int() - exact.int()).abs().max() <= 1
+    np.testing.assert_array_equal(run(of_bytes.numpy(), distance), run(of_bytes, distance))
 
 
 def test_what_does_not_suit_a_file_is_refused(frozen, waters) -> None:
@@ -59,7 +63,7 @@ def test_what_does_not_suit_a_file_is_refused(frozen, waters) -> None:
         (lambda: serve(image, distance), "medium: the file needs one"),
         (lambda: serve(image, distance, absolute), "but the file is for shape 'gaussian' and ref"),
         (lambda: serve(image, distance, spectral), "the file is for grey surfaces"),
-        (lambda: run((255 * image).byte(), distance), "image must be a floating-point"),
+        (lambda: run((255 * image).int(), distance), "image must be a floating-point"),
         (lambda: run(255 * image, distance), "divide a 0…255 image by 255"),
         (lambda: run(image, distance[..., 1:]), r"distance is \(45, 61\) but image is \(45, 62\)"),
         (lambda: run(image, distance * torch.nan), "distance is NaN"),

@@ -129,7 +129,8 @@ def test_csv(tmp_path, text):
 @pytest.mark.parametrize(
     "text, message",
     [
-        (ROWS.replace(",", ";"), "line 1: expected four numbers, wavelength, R, G, B"),
+        (ROWS.replace(",", ":"), "line 1: expected four numbers, wavelength, R, G, B"),
+        ("frequency [THz],R,G,B\n" + ROWS, "wavelength in another unit than nm or µm"),
         ("wavelength,B,G,R\n" + ROWS, "line 1: expected four numbers, wavelength, R, G, B"),
         ("user,name,pass-word-of-mine,hunter2\n", "line 1: expected four numbers"),
     ],

@@ -345,7 +345,13 @@ TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8],
 
 @pytest.mark.parametrize(
     "header",
-    ["", "nm,a,b,K_d\n", "\ufeffwavelength, a, b, kd\r\n", "nm,Absorption,scattering,Kd(PAR)\n"],
+    [
+        "",
+        "nm,a,b,K_d\n",
+        "\ufeffwavelength, a, b, kd\r\n",
+        "nm,Absorption,scattering,Kd(PAR)\n",
+        "wavelength [nm],a [1/m],b (m^-1),K_d/m⁻¹\n",
+    ],
 )
 def test_water_from_a_file(tmp_path: Path, header: str) -> None:
     path = tmp_path / "tank.csv"
@@ -358,8 +364,52 @@ def test_water_from_a_file(tmp_path: Path, header: str) -> None:
 
 
 @pytest.mark.parametrize(
+    "header, nm, metre",
+    [
+        ("wavelength [nm],a [1/cm],b (cm^-1),K_d per cm", 1, 100),
+        ("λ/nm,a/cm⁻¹,b (cm−1),kd [ cm^{-1} ]", 1, 100),
+        ("wavelength_um,a 1/mm,b /mm,kd [1/mm]", 1000, 1000),
+        ("Wavelength (µm),a [km-1],b [1/km],kd [/km]", 1000, 0.001),
+        ("microns,a,b,kd", 1000, 1),
+    ],
+)
+@pytest.mark.parametrize("separator, point", [(",", "."), (";", ","), ("\t", ",")])
+def test_units_of_a_header(
+    tmp_path: Path, header: str, nm: float, metre: float, separator: str, point: str
+) -> None:
+    table = np.array([TANK.wavelengths / nm, *(getattr(TANK, n) / metre for n in ("a", "b", "kd"))])
+    lines = [header, *(",".join(map(repr, row)) for row in table.T.tolist())]
+    text = "\n".join(line.replace(",", separator) for line in lines)
+    path = tmp_path / "tank.csv"
+    path.write_text(text.replace(".", point), encoding="utf-8")
+    water = load_water(path)
+    for name in QUANTITIES:
+        np.testing.assert_allclose(getattr(water, name), getattr(TANK, name), rtol=1e-12)
+
+
+def test_absorption_and_attenuation_are_enough(tmp_path: Path) -> None:
+    path, lake = tmp_path / "ac.csv", Water.from_constituents(chlorophyll=3, cdom=0.2, minerals=1)
+    rows = zip(lake.wavelengths, lake.a, lake.beta, lake.kd, strict=True)
+    texts = [",".join(repr(float(x)) for x in row) + "\n" for row in rows]
+    path.write_text("nm,a,c,K_d\n" + "".join(texts))
+    np.testing.assert_allclose(load_water(path).b, lake.b, rtol=1e-12)
+    path.write_text("nm,a [1/m],c [1/m]\n" + "".join(x.rpartition(",")[0] + "\n" for x in texts))
+    water = load_water(path)
+    assert water.provenance == ("a, c: ac.csv", "b: c − a", "K_d: of a and b by Kirk 1984")
+    for name in ("a", "b", "kd"):  # the model of contents takes the same K_d
+        np.testing.assert_allclose(getattr(water, name), getattr(lake, name), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
     "text, message",
     [
+        ("nm,a [dB/m],b,kd\n" + ROWS, "gives a in another unit than 1/m, or such as 1/cm"),
+        ("nm,a,b [cm],kd\n" + ROWS, "gives b in another unit"),
+        ("nm,a,b,kd (%)\n" + ROWS, "gives K_d in another unit"),
+        ("wavenumber [1/cm],a,b,kd\n" + ROWS, "wavelength in another unit than nm or µm"),
+        ("nm,Kd\n550,.2\n", "line 1: .*K_d or a Secchi depth alone .* contrast that is left"),
+        ("site,Secchi [m]\n1,5\n", "line 1: .*K_d or a Secchi depth alone"),
+        ("nm,a,c\n400,.5,.4\n", "b has 1 negative of 1 values, at 400 nm"),
         ("nm,a,b,kd\n", "no rows of wavelength, a, b, K_d"),
         ("nm,a,kd,b\n" + ROWS, "line 1: expected four numbers, wavelength, a, b, K_d"),
         ("nm,a,beta,kd\n" + ROWS, "line 1: expected four numbers"),

@@ -290,7 +290,7 @@ def test_a_line_that_is_left_out_is_the_same_to_module_and_transform(tmp_path, l
 
 
 REFUSED = [
-    ("survey", r"^waters = .*", 'waters = "harbour"', "water must be one of I, IA"),
+    ("survey", r"^waters = .*", 'waters = "swamp"', "water must be one of I, IA"),
     ("survey", r"^mu =", "haze =", "RandomWater has no 'haze', only waters, contrast,"),
     ("survey", r"^\[development\]", "[noise]", "RandomUnderwater has no 'noise', only water,"),
     ("survey", r"^light = .*", "lihgt = 1", "did you mean light?"),

@@ -142,12 +142,12 @@ def test_draws_spread_over_all_photographs_and_serve_each_other() -> None:
     assert len(found.kept) == 4 * FEW["keep"]
     assert nearness.far() == [2]
     assert max(nearness.of_each[0], nearness.of_each[1]) < 0.8 * nearness.drawn
-    assert str(nearness).endswith("1 far from anything that water can do")
+    assert str(nearness).endswith("1 far from all that was tried")
     # the first takes FEW["draws"], each of three others the half without new ones, or less
     assert FEW["draws"] < len(made) <= FEW["draws"] * (1 + 3 * 0.3) + 3
 
 
-@pytest.mark.parametrize(("kept", "verdict"), [(0.5, "near"), (0.9, "fair"), (1.3, "far from any")])
+@pytest.mark.parametrize(("kept", "verdict"), [(0.5, "near"), (0.9, "fair"), (1.3, "far from all")])
 def test_a_verdict_in_words(kept: float, verdict: str) -> None:
     assert str(Nearness(kept, 1.5, "")).startswith(verdict)
     assert f"{kept:.2f} away" in str(Nearness(kept, 1.5, ""))

@@ -51,6 +51,16 @@ def test_a_picture_has_one_light_at_every_severity() -> None:
         assert drawn == [drawn[0]] * 5
 
 
+@pytest.mark.parametrize(("metres", "share"), [(1.0, 0.73), (8.0, 0.95)])
+def test_where_lamps_aim_they_are_nearly_as_bright_as_daylight(metres: float, share: float) -> None:
+    random = RandomLight(share=1.0, power=0.0, tint=0.0)
+    arriving = [
+        sum(lamp.power / math.dist((0.0, 0.0, 0.0), lamp.aim) ** 2 for lamp in light.lamps)
+        for light in lights(random, 400, metres)
+    ]
+    assert sorted(arriving)[200] == pytest.approx(share, abs=0.02)
+
+
 @pytest.mark.parametrize("name", RIGS)
 def test_rigs(name: str) -> None:
     rig = RIGS[name]

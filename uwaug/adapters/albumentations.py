@@ -1,4 +1,4 @@
-"""`RandomUnderwater` for Albumentations 2.x."""
+"""`RandomUnderwater` for Albumentations 2.x and AlbumentationsX."""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -23,7 +23,35 @@ _MASKS = ("mask", "masks", "mask3d", "masks3d")
 """Kinds of targets that move with pictures and keep their values."""
 
 
-class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
+class _Hooks:
+    """Hooks of both libraries. AlbumentationsX refuses `get_params` on a transform's own class."""
+
+    augment: RandomUnderwater
+    random_generator: np.random.Generator
+    _in_pipeline = False
+
+    def set_processors(self, processors: dict[str, Any]) -> None:
+        """Note that there is a pipeline: each one of Albumentations calls this."""
+        super().set_processors(processors)  # type: ignore[misc]
+        self._in_pipeline = True
+
+    def get_params(self) -> dict[str, Any]:
+        """Draw a record, for Albumentations."""
+        return self._draw(self.random_generator)
+
+    def sample_parameters(self, params: Any, data: Any, targets: Any, sampling: Any) -> Any:
+        """Draw a record, for AlbumentationsX."""
+        from albumentations.core.transform_params import SampledParams
+
+        self._in_pipeline |= sampling.invocation.root_key is not None
+        return SampledParams(self._draw(sampling.random_generator))
+
+    def _draw(self, random: np.random.Generator) -> dict[str, Any]:
+        generator = torch.Generator().manual_seed(int(random.integers(2**32)))
+        return {"record": self.augment.make_params(torch.empty(3, 1, 1), generator)}
+
+
+class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc]
     """Transform that degrades pictures in an Albumentations pipeline.
 
     Args:
@@ -31,20 +59,23 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         distance_key: name of the map (HxW) of image in a call. So that it moves with the picture,
             a pipeline needs it in `additional_targets={"distance": "mask"}`. The picture image2 has
             the map distance2; left has distance_left; several in `images` (NxHxWx3) have
-            `distances` (NxHxW, of kind "masks"). No map is needed where `augment` makes distances
-            (`MadeUp`, `Network`, `Plane`).
+            `distances` (NxHxW, of kind "masks"). AlbumentationsX moves further masks only beside a
+            mask: where there is none, give the map as the mask, by "mask". No map is needed where
+            `augment` makes distances (`MadeUp`, `Network`, `Plane`).
         scale: metres per unit of a map, such as .001 for mm.
         channels: order of the picture's colours; "bgr" with OpenCV and Ultralytics.
         p: probability, as in all transforms of Albumentations.
 
     Targets:
-        image, and others of its kind (`additional_targets`): HxWx3, uint8 (0…255) or float32 (0…1);
-        one draw for all, each at its distances. Pictures of `images` are frames of one film, see
+        image, and others of its kind (`additional_targets`): HxWx3, uint8 (0…255), uint16
+        (0…65535) or float32 (0…1); one draw for all, each at its distances. Grey, HxW or HxWx1,
+        comes out in colour. Pictures of `images` are frames of one film, see
         `RandomUnderwater.for_clip`. Masks, boxes and keypoints stay as they are.
 
     Random numbers come from the pipeline: `A.Compose(…, seed=…)`. Albumentations 2.0 draws the same
     in all workers of a DataLoader and in all epochs: call
-    `pipeline.set_random_seed(torch.initial_seed())` in a `worker_init_fn`. `A.ReplayCompose` keeps
+    `pipeline.set_random_seed(torch.initial_seed())` in a `worker_init_fn`. AlbumentationsX does so
+    itself. `A.ReplayCompose` keeps
     the draw under "record" in its "replay", but no map.
 
     Raises:
@@ -56,7 +87,7 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         >>> targets = {"distance": "mask"}
         >>> pipeline = A.Compose([A.HorizontalFlip(), water], additional_targets=targets, seed=0)
         >>> image, distance = np.full((32, 48, 3), 200, np.uint8), np.full((32, 48), 3.0)
-        >>> pipeline(image=image, distance=distance)["image"].shape
+        >>> pipeline(image=image, mask=image[..., 0], distance=distance)["image"].shape
         (32, 48, 3)
     """
 
@@ -79,36 +110,30 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
         checks.positive("scale", scale)
         self.augment = augment
         self.distance_key, self.scale, self.channels = distance_key, scale, channels
-        self._in_pipeline, self._moved = False, set(_MASKS)
+        self._moved = set(_MASKS)
 
     def add_targets(self, additional_targets: dict[str, str]) -> None:
         """Note the arrays that a pipeline moves with the picture."""
         super().add_targets(additional_targets)
         self._moved |= {name for name, kind in additional_targets.items() if kind in _MASKS}
 
-    def set_processors(self, processors: dict[str, Any]) -> None:
-        """Note that there is a pipeline: each one calls this of all its transforms."""
-        super().set_processors(processors)
-        self._in_pipeline = True
-
-    def get_params(self) -> dict[str, Any]:
-        """Draw a record, see `RandomUnderwater.make_params`."""
-        generator = torch.Generator().manual_seed(int(self.random_generator.integers(2**32)))
-        return {"record": self.augment.make_params(torch.empty(3, 1, 1), generator)}
-
-    def apply_with_params(
-        self, params: dict[str, Any], *args: Any, **kwargs: Any
-    ) -> dict[str, Any]:
+    def apply_with_params(self, params: Any, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """Degrade all pictures of a call as one record says, each with its own map."""
+        record = getattr(params, "params", params)["record"]  # AlbumentationsX wraps the dict
         # Albumentations gives `apply` no map; as parameters, maps would be kept for replays, which
         # may be of other pictures
         result = dict(kwargs)
         for name, pictures in kwargs.items():
             if name in self._key2func and pictures is not None:
                 image, distance = np.asarray(pictures), None
+                single = self._key2func[name] == self.apply
+                if image.ndim == (2 if single else 3):
+                    image = image[..., None]
+                if image.shape[-1] == 1:
+                    image = image.repeat(3, -1)
                 if self.augment.distance.reads_maps:
-                    distance = self._distance(name, image.ndim == 3, kwargs)
-                result[name] = self.apply(image, params["record"], distance)
+                    distance = self._distance(name, single, kwargs)
+                result[name] = self.apply(image, record, distance)
         return result
 
     def _distance(self, name: str, single: bool, targets: Mapping[str, Any]) -> Tensor:
@@ -123,19 +148,22 @@ class AlbumentationsUnderwater(ImageOnlyTransform):  # type: ignore[misc]
             kind = "mask" if single else "masks"
             cure = f"give A.Compose(…, additional_targets={{{key!r}: {kind!r}}})"
             raise ValueError(f"{key} would not move with {name}: {cure}")
-        values = np.asarray(targets[key]) * self.scale
-        values = values.squeeze() if single else values.reshape(values.shape[:3])
+        values = np.squeeze(targets[key]) * self.scale
         return torch.from_numpy(values.astype(np.float32)).unsqueeze(-3)
 
     def apply(
-        self, img: NDArray[Any], record: Record, distance: Tensor | None, **params: Any
+        self, img: NDArray[Any], record: Record, distance: Tensor | None = None, **params: Any
     ) -> NDArray[Any]:
         """Degrade a picture, or the frames of a film (NxHxWx3)."""
         step = -1 if self.channels == "bgr" else 1
+        has_16_bits = img.dtype == np.uint16
+        img = img / np.float32(65535) if has_16_bits else img
         image = torch.from_numpy(np.ascontiguousarray(img[..., ::step])).movedim(-1, -3)
         if image.ndim == 4:
             record = self.augment.for_clip(record, image, distance)
         result = self.augment.transform(image, distance, record).movedim(-3, -1).numpy()
+        if has_16_bits:
+            result = np.rint(result.clip(0, 1) * 65535).astype(np.uint16)
         return np.ascontiguousarray(result[..., ::step])
 
     def get_transform_init_args(self) -> dict[str, Any]:

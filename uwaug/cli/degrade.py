@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,9 @@ from uwaug.cli.console import (
     status,
 )
 from uwaug.files.formats import formats
+
+if TYPE_CHECKING:
+    from uwaug.files.summary import Summary
 
 
 def degrade(
@@ -47,6 +50,14 @@ def degrade(
         str | None,
         typer.Option(help="Contrast left at median distance, .4 or .1:.8; none: as in nature."),
     ] = None,
+    severity: Annotated[
+        str | None,
+        typer.Option(
+            help="Grade of the water, 1 (mild) to 5 (severe), at one contrast for all pictures; "
+            "all: into a folder for each, 1 to 5.",
+            metavar="1…5|all",
+        ),
+    ] = None,
     like: Annotated[
         list[Path] | None,
         typer.Option(
@@ -68,8 +79,9 @@ def degrade(
         typer.Option(
             "--set",
             help="Set any option: water.vertical_depth=0:5, development.saturation=1, light=none; "
-            "for films drift=.004 (m per frame) and motion=[.02,0,0], of the camera to the right, "
-            "down and forward, or 12px; for JPEG quality=80; repeat it for several.",
+            "for films drift=.004 (m per frame) and motion=[0.02,0,0], of the camera to the right, "
+            "down and forward, or 12px; for JPEG quality=80; for pictures with "
+            "alpha background=white; repeat it for several.",
             metavar="NAME=VALUE",
         ),
     ] = None,
@@ -86,6 +98,14 @@ def degrade(
     force: Force = False,
     sheet: Annotated[bool, typer.Option("--sheet", help="Also draw a sheet of results.")] = False,
     ray: Annotated[str | None, typer.Option(help="Ray cluster: auto, host:port, or local.")] = None,
+    maps: Annotated[
+        str | None,
+        typer.Option(
+            help="Also write what restores a picture: clean light, distance, transmission, signal "
+            "and veil, float32 in linear light, and coefficients in its record.",
+            metavar="npy|exr",
+        ),
+    ] = None,
     labels: Annotated[str | None, typer.Option(help=f"Labels of pictures: {formats()}.")] = None,
     min_contrast: Annotated[
         float | None, typer.Option(help="Least contrast left for a label to be kept, 0…1.")
@@ -119,10 +139,17 @@ def degrade(
         from uwaug.files.prepare import prepare, references_of
         from uwaug.transforms import RandomUnderwater
 
+        is_contrast = any(setting.startswith("water.contrast=") for setting in set_ or ())
+        if severity is not None and (contrast is not None or is_contrast or like):
+            raise ValueError("--severity is a contrast: give no --contrast and no --like with it")
+        if severity == "all" and out.suffix:
+            raise ValueError(f"--severity all needs a folder, got --out {out}")
+        grades = {"": None} if severity is None else _grades(severity)
         values = _options(preset, plain, options, set_ or (), water or (), contrast)
-        run_options = [name for name in ("drift", "motion", "quality") if name in values]
+        names = ("drift", "motion", "quality", "background")
+        run_options = [name for name in names if name in values]
         run_values = {name: values.pop(name) for name in run_options}
-        if run_options and run_options != ["quality"] and not sequence:
+        if {"drift", "motion"} & {*run_options} and not sequence:
             got = f"--set {run_options[0]} is of films"
             raise ValueError(f"{got}, whose frames --sequence makes of a folder")
         if plain and not (values["water"].get("waters") and (distance or "distance" in values)):
@@ -140,6 +167,7 @@ def degrade(
             labels=labels,
             min_contrast=min_contrast,
             sequence=sequence,
+            maps=maps,
             **run_values,
         )
         items = find_items(pictures, distances.maps, exclude=[out, labels])
@@ -147,23 +175,44 @@ def degrade(
             print(f"left out, as such files are not read: {formats_left_out}")
         references = references_of(like or ())
         with status() as say:
-            say(f"looking for waters like {len(references)} photographs" if like else "looking")
+            if references:
+                say("looking for waters like the photographs")
             recipe, sentences = prepare(recipe, items, references)
         for sentence in filter(None, (distances.note, *sentences)):
             print(sentence, flush=True)
-        with counted() as progress:
-            summary = run(
-                recipe,
-                items,
-                out,
-                workers=workers,
-                resume=resume,
-                force=force,
-                sheet=sheet,
-                beside=references,
-                ray=ray,
-                progress=progress,
-            )
+        summaries = []
+        for folder, left in grades.items():
+            with counted() as progress:
+                summary = run(
+                    recipe if left is None else recipe.at_contrast(left),
+                    items,
+                    out / folder,
+                    workers=workers,
+                    resume=resume,
+                    force=force,
+                    sheet=sheet,
+                    beside=references,
+                    ray=ray,
+                    progress=progress,
+                )
+            summaries.append(summary)
+            _print_summary(summary, out / folder, labels)
+    end_if_failed([failure for summary in summaries for failure in summary.failures])
+
+
+def _grades(severity: str) -> dict[str, float | None]:
+    """Folders below that of the run, "" for itself, and the contrast that is left in each."""
+    from uwaug.transforms.random_underwater import SEVERITIES
+
+    if severity == "all":
+        return {str(level): left for level, left in SEVERITIES.items()}
+    if severity not in map(str, SEVERITIES):
+        raise ValueError(f"--severity must be 1 (mild) to 5 (severe), or all, got {severity!r}")
+    return {"": SEVERITIES[int(severity)]}
+
+
+def _print_summary(summary: "Summary", out: Path, labels: str | None) -> None:
+    """Print what became of a run."""
     print_counts(summary, "pictures", out)
     if labels is not None:
         count, kept = summary.objects
@@ -176,7 +225,6 @@ def degrade(
         print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}")
     for question in summary.asked:
         print(question)
-    end_if_failed(summary.failures)
 
 
 def _options(

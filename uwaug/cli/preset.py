@@ -75,7 +75,8 @@ def waters(
             names = (*WATERS, *PLACES)
             modules = {name: load_preset(preset or "", water=name).module() for name in names}
         media = {name: module.medium for name, module in modules.items()}
-        print(json.dumps(input_rows(media, modules[WATERS[0]].light), ensure_ascii=False))
+        rows = {"preset": preset, **input_rows(media, modules[WATERS[0]].light)}
+        print(json.dumps(rows, ensure_ascii=False))
         return
     from rich.console import Console
     from rich.table import Table

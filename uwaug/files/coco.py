@@ -1,5 +1,6 @@
 """Labels of COCO: a JSON file for all pictures."""
 
+import glob
 import hashlib
 import json
 import os
@@ -53,6 +54,10 @@ class Coco(Labels):
         expected = f"no image has the file_name {items[0].name} in its split (there are {names})"
         return cls(path, of, rest, len(images)) if of else f"{path}: {expected}"
 
+    @property
+    def shared(self) -> tuple[str, ...]:
+        return (glob.escape(self.path.name),)
+
     def only(self, name: str) -> "Coco":
         return Coco(self.path, super().only(name).of)
 
@@ -71,7 +76,7 @@ class Coco(Labels):
                 got = f"annotation {entry.get('id')}: {error!r}"
                 raise ValueError(f"{self.path}, {got}") from error
 
-    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
+    def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
         """Write a file of the same name, with the images of the pictures, and a "contrast" in each
         annotation. Images and annotations of several variants get new numbers.
         """

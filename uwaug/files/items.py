@@ -81,7 +81,8 @@ def find_items(
     items = []
     for path in paths:
         name = path.relative_to(folder).as_posix()
-        items.append(Item(name, path, _map(distance, path, name)))
+        shown = os.fsencode(name).decode(errors="backslashreplace")
+        items.append(Item(shown, path, _map(distance, path, name)))
     maps = set()
     for item in items:  # an EXR may hold its distances, too
         if item.distance != item.picture or item.picture.suffix.lower() != ".exr":

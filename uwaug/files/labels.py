@@ -72,6 +72,11 @@ class Labels:
         """
         raise NotImplementedError
 
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Patterns of the files of all pictures together, in the folder of the run."""
+        return ()
+
     def only(self, name: str) -> Self:
         """Labels of one picture, small enough to be sent to another process."""
         return replace(self, of={name: self.of[name]} if name in self.of else {})
@@ -92,11 +97,17 @@ class Labels:
         """Path of a picture in the folder of the run at which trainers find its labels."""
         return name
 
+    def files(self, name: str, place: str, out: Path) -> list[Path]:
+        """Files with the labels of one picture in the folder of the run."""
+        return []
+
     def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
         """Write the labels of one picture to the folder of the run, without the dropped ones."""
 
-    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
-        """Write files for all pictures together, if the format has such. Returns notes."""
+    def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
+        """Write files for all pictures together, if the format has such; with `force` also over
+        those that people edit. Returns notes.
+        """
         return []
 
 
@@ -161,10 +172,14 @@ class Folder(Labels):
         above, _, below = f"/{place}".rpartition(f"/{self.pictures}/")
         return above.removeprefix("/"), below.removeprefix("/")
 
+    def files(self, name: str, place: str, out: Path) -> list[Path]:
+        above, below = self.parted(place)
+        path = (out / above / self.folders[0] / below).with_suffix(self.end)
+        return [path] if name in self.of else []
+
     def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
-        if name in self.of:
-            source, (above, below) = self.of[name], self.parted(place)
-            path = (out / above / self.folders[0] / below).with_suffix(self.end)
+        for path in self.files(name, place, out):
+            source = self.of[name]
             write_labels(path, self.without(dropped, source, place), source)
 
 

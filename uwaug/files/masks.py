@@ -37,6 +37,7 @@ class Masks(Folder):
     reads = "a folder of .png masks"
     end = ".png"
     folders = ("labels", "masks", "SegmentationClass")
+    shared = ("labelmap.txt",)
 
     @staticmethod
     def require(file: Path) -> None:
@@ -76,7 +77,7 @@ class Masks(Folder):
         image.save(file, "PNG")
         return file.getvalue()
 
-    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
+    def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
         """Copy CVAT's table of colours and classes."""
         for source in (self.path.parent / "labelmap.txt", self.path / "labelmap.txt"):
             if source.is_file():

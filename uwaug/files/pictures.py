@@ -1,5 +1,7 @@
 """Pictures and distance maps in files. The end of a file's name says its format."""
 
+import io
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -7,7 +9,7 @@ import numpy as np
 import tifffile
 import torch
 from numpy.typing import NDArray
-from PIL import ExifTags, Image
+from PIL import ExifTags, Image, ImageCms, ImageColor
 from torch import Tensor
 
 from uwaug._support import checks
@@ -24,24 +26,32 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 _BIT_DEPTH = 24  # place in a PNG of the byte with the number of bits of a channel
 _ORIENTATION_CHUNKS = (b"eXIf", b"Raw profile type", b"XML:com.adobe.xmp")  # of a PNG
+_PROFILE_TAG = 34675  # of TIFF
+_SAME_LEVELS = 2  # by which profiles of sRGB differ, of 255
 
 
-def read_picture(path: str | Path, color_space: ColorSpace = "srgb") -> Tensor:
+def read_picture(
+    path: str | Path, color_space: ColorSpace = "srgb", background: str | None = None
+) -> Tensor:
     """Read a picture. Grey becomes R = G = B; an opaque alpha is dropped.
 
     Args:
         path: a PNG, JPEG or TIFF file of 8 or 16 bits; or a .npy (HxWx3) or .exr file, which may
             also hold floating-point numbers, 0…1. EXR and PNG of 16 bits need the extra "files".
         color_space: colour space of the result. An EXR holds linear light; all other files are
-            taken as they are.
+            taken as they are, but that a colour profile of RGB, such as Display P3, is converted to
+            sRGB.
+        background: colour behind what is transparent, such as "white" or "#0a3040"; None refuses
+            transparent pictures.
 
     Returns:
         3xHxW: uint8 (0…255) for 8 bits, else float32 (0…1 for 16 bits, unchanged floating point).
-        It is upright by EXIF. Colour profiles are not applied.
+        It is upright by EXIF.
 
     Raises:
-        ValueError: if it has another format, a palette, other channels or an alpha that is not
-            opaque, if it holds several pictures or cannot be decoded; the error names the file.
+        ValueError: if it has another format, a palette, other channels or, without a background,
+            an alpha that is not opaque; if it holds several pictures or cannot be decoded; the
+            error names the file.
         OSError: if there is no such file, or it cannot be read.
     """
     values = _decoded(Path(path), "RGB")
@@ -50,11 +60,17 @@ def read_picture(path: str | Path, color_space: ColorSpace = "srgb") -> Tensor:
         raise ValueError(f"{path}: {got}")
     if values.ndim == 2 and values.dtype.kind == "f":
         raise ValueError(f"{path}: one channel of floating point is a map, and no picture")
-    if values.ndim == 2:
-        values = values[..., None].repeat(3, 2)
+    if values.ndim == 2 or (values.ndim == 3 and values.shape[2] == 2):  # grey, with alpha
+        grey = values.reshape(*values.shape[:2], -1)
+        values = np.concatenate([grey[..., :1].repeat(3, 2), grey[..., 1:]], 2)
+    if color_space == "srgb" and values.dtype.kind == "u" and (profile := profile_of(Path(path))):
+        values = np.concatenate([_in_srgb(values[..., :3], profile), values[..., 3:]], 2)
+    if values.ndim == 3 and values.shape[2] == 4 and background is not None:
+        values = _before(background, values, Path(path).suffix.lower() == ".exr")
     if values.ndim != 3 or values.shape[2] != 3:
         got = f"expected a picture in colour (H, W, 3), or grey (H, W), got {values.shape}"
-        raise ValueError(f"{path}: {got}: save it as RGB, without alpha")
+        cure = "save it as RGB, without alpha, or give a background (--set background=white)"
+        raise ValueError(f"{path}: {got}: {cure}")
     if values.dtype == np.uint16:
         values = values / np.float32(65535)
     elif values.dtype != np.uint8:
@@ -109,6 +125,57 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
             cure += "Inverse where large is near, else Relative? Or is the unit mm (--unit mm)?"
         raise ValueError(f"{path}: {got}: {cure}")
     return distance
+
+
+def _before(background: str, values: NDArray[Any], is_light: bool) -> NDArray[Any]:
+    """A picture with alpha (HxWx4) before a colour. The light of an EXR is multiplied by alpha."""
+    white = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
+    colour, alpha = np.split(values / white, [3], 2)
+    behind = np.array(ImageColor.getrgb(background)[:3]) / 255
+    if is_light:
+        alpha, behind = np.where(alpha, alpha, 0), srgb_to_linear(torch.from_numpy(behind)).numpy()
+    shares = (colour if is_light else colour * alpha) + (1 - alpha) * behind
+    return (shares if white == 1 else np.rint(shares * white)).astype(values.dtype)
+
+
+def profile_of(path: Path) -> bytes:
+    """Colour profile of a picture by which it is converted to sRGB; empty without one."""
+    if path.suffix.lower() in (".npy", ".exr"):
+        return b""
+    if path.suffix.lower() in (".tif", ".tiff"):
+        with tifffile.TiffFile(path) as file:
+            profile = file.pages.first.tags.valueof(_PROFILE_TAG)
+    else:
+        with Image.open(path) as image:
+            profile = image.info.get("icc_profile")
+    return bytes(profile) if profile and _to_srgb(bytes(profile)) else b""
+
+
+@lru_cache(maxsize=16)
+def _to_srgb(profile: bytes) -> ImageCms.ImageCmsTransform | None:
+    """Transform from a profile to sRGB; None for sRGB itself, and for other colours than RGB."""
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        transform = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), "RGB", "RGB")
+    except (OSError, ImageCms.PyCMSError):
+        return None
+    colours = (15 * np.indices((18, 18, 18))).astype(np.uint8).reshape(3, -1, 1).T
+    converted = np.asarray(transform.apply(Image.fromarray(colours)))
+    return transform if (np.abs(converted - colours.astype(int)) > _SAME_LEVELS).any() else None
+
+
+def _in_srgb(values: NDArray[Any], profile: bytes) -> NDArray[Any]:
+    """Colours (HxWx3) of a profile in sRGB."""
+    transform, values = _to_srgb(profile), np.ascontiguousarray(values)
+    assert transform is not None
+    if values.dtype == np.uint8:
+        return np.asarray(transform.apply(Image.fromarray(values)))
+    (codecs,) = require("files", "imagecodecs")  # Pillow converts 8 bits alone
+    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    # optimised, 16 bits would go by a coarse table that is off by 11 of 255 in shadows
+    how: Any = {"colorspace": "rgb", "outcolorspace": "rgb", "flags": codecs.CMS.FLAGS.NOOPTIMIZE}
+    converted: NDArray[Any] = codecs.cms_transform(values, profile, srgb, **how)
+    return converted
 
 
 def holds_picture(path: Path) -> bool:
@@ -169,7 +236,7 @@ def write_picture(
     Args:
         path: file to write or replace; the end of its name is the format.
         image (3xHxW tensor): uint8 (0…255), written in 8 bits; or floating point (0…1), written in
-            16 bits to PNG and TIFF, as float32 to .npy and .exr.
+            16 bits to PNG and TIFF, as float32 to .npy and .exr. These two hold a map (1xHxW), too.
         quality: quality of JPEG, 1…100; colours are not subsampled.
         color_space: colour space of the image. An EXR gets linear light.
 
@@ -186,13 +253,15 @@ def write_picture(
         if end == ".exr":
             (exr,) = require("files", "OpenEXR")
             light = (values / 255 if values.dtype == np.uint8 else values).astype(np.float32)
-            if color_space == "srgb":
+            is_map = light.shape[-1] == 1
+            if color_space == "srgb" and not is_map:
                 light = srgb_to_linear(torch.from_numpy(light)).numpy()
-            exr.File({"type": exr.scanlineimage}, {"RGB": light}).write(str(part))
+            layers = {"Z": light[..., 0]} if is_map else {"RGB": light}
+            exr.File({"type": exr.scanlineimage}, layers).write(str(part))
             return
         with part.open("wb") as file:
             if end == ".npy":
-                np.save(file, values)
+                np.save(file, values if values.shape[-1] > 1 else values[..., 0])
             elif end in (".tif", ".tiff"):
                 # without the time of writing, so that equal pictures are equal files
                 tifffile.imwrite(file, values, photometric="rgb", compression="zlib", metadata=None)

@@ -102,7 +102,8 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
             continue
         with warnings.catch_warnings(), suppress(Exception):  # decoders raise whatever they like
             warnings.simplefilter("ignore")
-            image, z, reason = read_picture(item.picture), None, ""
+            image = read_picture(item.picture, background=recipe.background)
+            z, reason = None, ""
             try:
                 z = recipe.read_map(item)
                 if z is not None:

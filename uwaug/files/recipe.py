@@ -5,6 +5,7 @@ from functools import cached_property
 from pathlib import Path
 
 import torch
+from PIL import ImageColor
 from torch import Tensor
 
 from uwaug._support import checks
@@ -16,7 +17,9 @@ from uwaug.formation.colour import linear_to_srgb
 from uwaug.optics.point_spread import FOCAL_LENGTH
 from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
-from uwaug.transforms.samples import key_of
+
+MAP_FORMATS = ("npy", "exr")
+"""Formats of maps: float32, the only ones that hold light below 0 and above 1 and any distance."""
 
 
 @plain
@@ -40,6 +43,9 @@ class Recipe:
         motion: motion of its camera to the right, down and forward, m a frame; or, as "12px", to
             the right, by which what is at the median distance moves so many px to the left.
         quality: quality of JPEG, 1…100.
+        background: colour behind transparent pictures, see `read_picture`; None refuses them.
+        maps: format of maps of the truth (see `uwaug.transforms.truth.Truth`), "npy" or "exr",
+            written to the folder `maps` of the run; None for none.
 
     Raises:
         TypeError, ValueError: if a value does not suit.
@@ -55,6 +61,8 @@ class Recipe:
     drift: float = 0.004
     motion: tuple[float, float, float] | str = (0.0, 0.0, 0.0)
     quality: float = 95
+    background: str | None = None
+    maps: str | None = None
 
     def __post_init__(self) -> None:
         checks.instance("transform", self.transform, RandomUnderwater)
@@ -71,10 +79,23 @@ class Recipe:
         else:
             object.__setattr__(self, "motion", checks.vector("motion", self.motion))
         checks.within("quality", self.quality, 1, 100)
+        if self.background is not None:
+            try:
+                ImageColor.getrgb(self.background)
+            except (ValueError, AttributeError):
+                got = f"got {self.background!r:.80}"
+                raise ValueError(f"background must be a colour such as white, {got}") from None
+        if self.maps is not None:
+            checks.one_of("maps", self.maps, MAP_FORMATS)
+
+    def at_contrast(self, left: float) -> "Recipe":
+        """The same recipe with so much contrast left at the median distance of each picture."""
+        water = replace(self.transform.water, contrast=left)
+        return replace(self, transform=replace(self.transform, water=water))
 
     def drawn(self, name: str, variant: int) -> Record:
         """The draw of a picture: all its random numbers."""
-        generator = torch.Generator().manual_seed(key_of(self.seed, variant, name))
+        generator = self.transform.generator_of(self.seed, variant, name)
         return self.transform.make_params(torch.empty(3, 1, 1), generator)
 
     def motion_before(self, median: float, width: int) -> tuple[float, float, float]:
@@ -102,7 +123,7 @@ class Recipe:
     def read(self, item: Item) -> tuple[Tensor, Tensor | None]:
         """The picture (3xHxW) of an item, and its map (1xHxW) where it has one."""
         space = self.transform_of(item.picture).development.color_space
-        return read_picture(item.picture, space), self.read_map(item)
+        return read_picture(item.picture, space, self.background), self.read_map(item)
 
     def write(self, path: Path, image: Tensor, picture: Path) -> None:
         """Write the result (3xHxW) of the transform of a picture."""

@@ -8,7 +8,8 @@ from typing import Any
 
 from uwaug._support.atomic import require_regular, written_whole
 
-_KEYS = ("uwaug", "torch", "name", "variant", "picture", "distance")  # of every record
+# of every record
+_KEYS = ("uwaug", "torch", "numba", "name", "variant", "picture", "distance")
 
 COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
 """Columns of the index of a run."""
@@ -57,11 +58,15 @@ def is_written(result: Path) -> bool:
     """True if a run has written a file: a record lies beside it, or an index beside a sheet."""
     if result.name == "sheet.jpg" and places_of(result.parent) is not None:
         return True
+    return record_of(result) is not None
+
+
+def record_of(result: Path) -> dict[str, Any] | None:
+    """Record of a file that a run has written; None without one."""
     try:
-        read_record(record_path(result))
+        return read_record(record_path(result))
     except (OSError, ValueError):
-        return False
-    return True
+        return None
 
 
 def digest(path: Path) -> str | None:
@@ -78,6 +83,8 @@ def reason_of(error: Exception) -> str:
     """An error in words, with its kind if no check of this package has raised it."""
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
+    if isinstance(error, UnicodeEncodeError):
+        return "the name of its file, or of a folder, is not UTF-8: rename it"
     if isinstance(error, (ValueError, OSError, ImportError)) and str(error):
         return str(error)
     return f"{type(error).__name__}: {error}"

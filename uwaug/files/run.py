@@ -4,6 +4,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +13,8 @@ from torch import Tensor
 
 from uwaug import __version__
 from uwaug._support.atomic import remove_left
+from uwaug._support.compiled import wanted
+from uwaug.fast import load
 from uwaug.files.films import Frame
 from uwaug.files.items import Item
 from uwaug.files.labels import Judged, Labels
@@ -21,8 +24,8 @@ from uwaug.files.record import (
     digest,
     is_written,
     places_of,
-    read_record,
     reason_of,
+    record_of,
     record_path,
     write_record,
 )
@@ -34,6 +37,7 @@ Progress = Callable[[int, int], None]
 """Function of the numbers of finished and of all pictures, called first and after each picture."""
 
 _FORCE = "force=True (--force) writes over it"
+_OWN = "was not written by a run: move it, or choose another folder"
 
 
 class Job(NamedTuple):
@@ -53,7 +57,7 @@ class Work:
     Args:
         out: folder of the run.
         resume: keep results of the same sources, and refuse to write over others.
-        force: write over them.
+        force: write over them. Files that no run has written stay in any case.
     """
 
     def __init__(self, out: Path, *, resume: bool, force: bool) -> None:
@@ -101,7 +105,7 @@ class Work:
 
     def _failed(self, job: Job, reason: str) -> Result:
         path = self.out / job.place
-        if self.force:  # an old file would pass for the result
+        if self.force and is_written(path):  # an old file would pass for the result
             with suppress(OSError):
                 path.unlink(missing_ok=True)
                 record_path(path).unlink(missing_ok=True)
@@ -109,31 +113,51 @@ class Work:
 
     def _done(self, job: Job) -> Result:
         path, sources = self.out / job.place, self.made_of(job)
-        if self.resume and path.exists() and (not self.force or is_written(path)):
-            record = read_record(record_path(path))
-            changes = [name for name, value in sources.items() if record.get(name) != value]
+        before = self._before(job)
+        if self.resume and before and path.exists():
+            changes = [name for name, value in sources.items() if before.get(name) != value]
             if not changes:
-                return _of_record(job, "skipped", record)
+                return _of_record(job, "skipped", before)
             if not self.force:
                 got = f"{path} was made with another {' and '.join(changes)}"
                 raise FileExistsError(f"{got}: choose another folder, or {_FORCE}")
         result, entries = self.make(job)
         record = {**sources, **entries}
-        # the result goes first and comes last: its record and labels are there wherever it is
+        # the result goes first and comes last: its labels are there wherever it is, and its record
+        # says of both that they are a run's
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
         write_record(record_path(path), record)
+        if job.labels is not None:
+            dropped = {entry["key"] for entry in record["objects"] if not entry["kept"]}
+            job.labels.write(job.item.name, job.place, dropped, self.out)
         self.write(path, result, job.item)
         return _of_record(job, "written", record)
 
+    def _before(self, job: Job) -> dict[str, Any]:
+        """Record of the result that a run has written before, empty without one. Refuses files that
+        no run has written.
+        """
+        path = self.out / job.place
+        record = record_of(path) or {}
+        files = [] if record else [path, record_path(path)]
+        if job.labels is not None and record.get("labels") is None:
+            files += job.labels.files(job.item.name, job.place, self.out)
+        for file in filter(os.path.lexists, files):
+            raise FileExistsError(f"{file} {_OWN}")
+        return record
+
 
 def versions() -> dict[str, str]:
-    """Versions that a result follows from."""
-    return {"uwaug": __version__, "torch": str(torch.__version__)}
+    """Versions that a result follows from; numba's is "none" where PyTorch forms pictures alone."""
+    numba = version("numba") if wanted() and load() else "none"
+    return {"uwaug": __version__, "torch": str(torch.__version__), "numba": numba}
 
 
 def _source(path: Path) -> dict[str, Any]:
-    return {"path": os.path.abspath(path), "sha256": digest(path)}
+    absolute = os.path.abspath(path)
+    absolute.encode()  # refuses names that records cannot hold
+    return {"path": absolute, "sha256": digest(path)}
 
 
 def _of_record(job: Job, status: Any, record: dict[str, Any]) -> Result:
@@ -163,7 +187,7 @@ def run(
     """
     require_apart(jobs, work.out)
     if index:
-        _require_same_pictures(jobs, work.out)
+        _require_folder_of_run(jobs, work.out, sheet=sheet)
         for folder in {(work.out / job.place).parent for job in jobs}:
             remove_left(folder)  # parts of files of a killed run
     work.out.mkdir(parents=True, exist_ok=True)
@@ -200,18 +224,29 @@ def require_free(out: Path, *, resume: bool, force: bool) -> None:
     cure = f"resume=True (--resume) goes on, or {_FORCE}"
     if out.is_file():
         raise FileExistsError(f"{out} exists: {cure}")
-    if out.is_dir() and set(os.listdir(out)) - {"index.csv"}:
+    of_run = set() if places_of(out) is None else {"index.csv"}
+    if out.is_dir() and set(os.listdir(out)) - of_run:
         raise FileExistsError(f"{out} is not empty: choose another folder; {cure}")
 
 
-def _require_same_pictures(jobs: Sequence[Job], out: Path) -> None:
-    """Refuse the folder of a run of other pictures, whose labels would be lost."""
-    if all(job.labels is None for job in jobs):
-        return
-    places = {*(places_of(out) or ())} - {job.place for job in jobs}
-    if stale := sorted(place for place in places if (out / place).exists()):
-        got = f"{out} holds {len(stale)} pictures that this run does not make, such as {stale[0]}"
-        raise FileExistsError(f"{got}: remove them and index.csv, or choose another folder")
+def _require_folder_of_run(jobs: Sequence[Job], out: Path, *, sheet: bool) -> None:
+    """Refuse files that no run has written where those of all pictures go, and the folder of a run
+    of other pictures, whose labels would be lost.
+    """
+    labels = next((job.labels for job in jobs if job.labels is not None), None)
+    places = places_of(out)
+    names = ["index.csv", *["sheet.jpg"] * sheet] if places is None else []
+    if labels is not None:
+        others = {*(places or ())} - {job.place for job in jobs}
+        if stale := sorted(place for place in others if (out / place).exists()):
+            got = f"{out} holds {len(stale)} pictures that this run does not make"
+            cure = "remove them, or choose another folder"
+            raise FileExistsError(f"{got}, such as {stale[0]}: {cure}")
+        records = (record_of(out / place) or {} for place in places or ())
+        if not any("labels" in record for record in records):
+            names += labels.shared
+    for file in (file for name in names for file in out.glob(name)):
+        raise FileExistsError(f"{file} {_OWN}")
 
 
 def require_apart(jobs: Sequence[Job], out: Path) -> None:

@@ -49,7 +49,9 @@ def write_sheet(
             is_result = column > 0 and number < len(sample)
             words = "real" * (number >= len(sample))
             picture, words = (
-                (read(file), caption(file)) if is_result else (read_picture(file), words)
+                (read(file), caption(file))
+                if is_result
+                else (read_picture(file, background="white"), words)
             )
             sheet.paste(_small(picture), (x, y))
             sheet.paste(_label(file.name, words), (x, y + _HEIGHT_PX))

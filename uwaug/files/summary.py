@@ -4,7 +4,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from uwaug._support.atomic import written_whole
 from uwaug.files.items import Item
@@ -16,10 +16,11 @@ from uwaug.transforms.random_water import Reached
 ASKED = {
     "turned": "are upright by EXIF alone: maps and labels are taken as upright, too. Are they?",
     "dark": "of 16 bits, reach less than 1/8 of white: have they 10 or 12 bits? Stretch them first",
+    "profile": "have a colour profile other than sRGB, and were converted to sRGB by it",
     "alone": "have maps with 0, or another end, a gap away from all other values: unknown? --holes "
     "behind; sky? --holes far",
 }
-"""Questions on pictures that may be wrong, by their key in records."""
+"""What is asked and told of pictures that may be wrong, by the key in records."""
 
 
 class Result(NamedTuple):
@@ -103,7 +104,8 @@ class Summary:
 
     def write_index(self, path: Path) -> None:
         """Write a line for each picture."""
-        with written_whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        how: Any = {"encoding": "utf-8", "errors": "backslashreplace", "newline": ""}
+        with written_whole(path) as part, part.open("w", **how) as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(COLUMNS)
             for result in self.results:

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from os.path import splitext
 from pathlib import Path
@@ -18,12 +19,13 @@ from uwaug.files.films import Films, frames_of
 from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
-from uwaug.files.pictures import ENDINGS, orientation_of
-from uwaug.files.recipe import Recipe
+from uwaug.files.pictures import ENDINGS, orientation_of, profile_of, write_picture
+from uwaug.files.recipe import MAP_FORMATS, Recipe
 from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
 from uwaug.files.summary import Summary
 from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms.truth import MAPS, Truth
 
 _CONTRAST_ROWS = 128  # rows of the short side, about, that give the mean contrast of a picture
 _DARK_LIGHT = 1 / 8  # share of white that no value of a picture of 12 bits in 16 reaches
@@ -95,8 +97,9 @@ def degrade(
     )
     if labels is not None:
         results = [result for result in summary.results if result.status != "failed"]
-        notes = [_labels_note(labels, items), *labels.finish(results, out)]
-        summary = replace(summary, notes=notes)
+        # without results, those of an earlier run keep their lists
+        notes = labels.finish(results, out, force=force) if results else []
+        summary = replace(summary, notes=[_labels_note(labels, items), *notes])
     return summary
 
 
@@ -108,8 +111,8 @@ def replay(
     distance: str | Path | None = None,
     force: bool = False,
 ) -> None:
-    """Make a picture again from its record, to the byte with the same versions of uwaug and PyTorch
-    on the same kind of processor.
+    """Make a picture again from its record, to the byte with the same versions of uwaug, PyTorch
+    and numba (or without it, as the record says) on the same kind of processor.
 
     Args:
         record: file beside a picture that a run has written.
@@ -131,7 +134,7 @@ def replay(
     entries = read_record(Path(record))
     if "recipe" not in entries:
         raise ValueError(f"{record}: is no record of a picture under water")
-    record_versions = {name: entries[name] for name in ("uwaug", "torch")}
+    record_versions = {name: entries[name] for name in versions()}
     if record_versions != versions():
         got = " and ".join(f"{name} {version}" for name, version in record_versions.items())
         cure = "defaults and last bits may differ"
@@ -191,19 +194,39 @@ class _Underwater(Work):
         step = max(1, min(image.shape[1:]) // _CONTRAST_ROWS) if labels is None else 1
         scenes = transform.scenes(image, z, params)
         degraded, contrast = scenes.formed(), scenes.contrast_map(step)
-        reached = scenes.reached(0)
+        reached, truth = scenes.reached(0), None
+        if self.recipe.maps is not None:
+            truth = scenes.truth()
+        self._write_maps(job.place, truth)
         objects = []
         if labels is not None:
             objects = judged(labels, item.name, contrast, self.recipe.min_contrast)
-            dropped = {label.key for label in objects if not label.kept}
-            labels.write(item.name, job.place, dropped, self.out)
         return degraded, {
             "params": params,
             "contrast": round(float(contrast.double().mean()), 4),
             "reached": reached and reached._asdict(),
+            "truth": truth and truth.record(),
             "objects": [label._asdict() for label in objects],
             "asked": _questions(item, transform, image, z, labels),
         }
+
+    def _write_maps(self, place: str, truth: Truth | None) -> None:
+        """Write the maps of the truth of a picture, if there is one, in place of those of an
+        earlier run.
+        """
+        stem = (self.out / "maps" / place).with_suffix("")
+        with suppress(OSError, ValueError):
+            if read_record(record_path(self.out / place)).get("truth"):
+                for name in MAPS:
+                    for end in MAP_FORMATS:
+                        stem.with_name(f"{stem.name}_{name}.{end}").unlink(missing_ok=True)
+        if truth is not None:
+            stem.parent.mkdir(parents=True, exist_ok=True)
+            for name in MAPS:
+                path = stem.with_name(f"{stem.name}_{name}.{self.recipe.maps}")
+                if path.exists():
+                    raise FileExistsError(f"{path} is a file that no run has written")
+                write_picture(path, getattr(truth, name).float(), color_space="linear")
 
     def write(self, path: Path, result: Tensor, item: Item) -> None:
         self.recipe.write(path, result, item.picture)
@@ -232,11 +255,13 @@ def _questions(
 ) -> list[str]:
     """Keys of `ASKED` that apply to a picture."""
     source = transform.distance
+    is_srgb = transform.development.color_space == "srgb"
     may_be_12_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
     may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
     doubts = {
         "turned": (z is not None or labels is not None) and orientation_of(item.picture) > 1,
         "dark": may_be_12_bits and image.is_floating_point() and float(image.max()) < _DARK_LIGHT,
+        "profile": is_srgb and bool(profile_of(item.picture)),
         "alone": may_have_holes and z is not None and bool(of_shares(z).any()),
     }
     return [key for key, applies in doubts.items() if applies]

@@ -23,6 +23,7 @@ class Voc(Folder):
     end = ".xml"
     folders = ("Annotations", "annotations")
     pictures = "JPEGImages"
+    shared = (f"**/{_LISTS}/*.txt",)
 
     @staticmethod
     def require(file: Path) -> None:
@@ -55,7 +56,7 @@ class Voc(Folder):
                 entry.text = place.rpartition("/")[2]
         return ElementTree.tostring(root, encoding="unicode").encode()
 
-    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
+    def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
         """Write the lists that lie above the labels, else one for each split."""
         trees: dict[str, dict[str, list[str]]] = {}
         for picture in pictures:

@@ -36,6 +36,7 @@ class Yolo(Folder):
 
     reads = "a folder of YOLO's .txt"
     end = ".txt"
+    shared = ("data.yaml", "train.txt", "val.txt", "test.txt")
 
     @staticmethod
     def require(file: Path) -> None:
@@ -123,7 +124,7 @@ class Yolo(Folder):
             places += [line.replace("\\", "/").strip("./ ") for line in lines if line.strip()]
         return places
 
-    def finish(self, pictures: Sequence["Result"], out: Path) -> list[str]:
+    def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
         """Write data.yaml, with the classes of the labels or their number, and a list of pictures
         for each split, as the folder of one split may hold another.
         """
@@ -163,7 +164,10 @@ class Yolo(Folder):
             notes.append(f"no names of classes were found ({looked}): nc: {classes['nc']}, counted")
         entries = {split: f"{split}.txt" for split in splits} | classes
         text = yaml.safe_dump(entries, sort_keys=False, allow_unicode=True)
-        write_labels(out / "data.yaml", text.encode())
+        file = out / "data.yaml"
+        if file.exists() and file.read_bytes() != text.encode() and not force:
+            return [*notes, f"{file} stays, with other content: force=True (--force) replaces it"]
+        write_labels(file, text.encode())
         return notes
 
 

@@ -1,5 +1,6 @@
 """The model of image formation: direct, forward-scattered and backscattered light."""
 
+from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.formation.contrast import contrast_left
 from uwaug.formation.demand import BlurDemand, blur_demand
 from uwaug.formation.development import Development
@@ -20,4 +21,6 @@ __all__ = [
     "contrast_left",
     "form_image",
     "gaussian_random_field",
+    "linear_to_srgb",
+    "srgb_to_linear",
 ]

@@ -27,7 +27,7 @@ from uwaug.formation.underwater import Underwater
 from uwaug.light import Lamp, Light
 from uwaug.onnx.blurs import Blurs
 from uwaug.onnx.check import check_onnx, plan_of
-from uwaug.onnx.run import INPUTS, OF_LAMPS, coefficients_of
+from uwaug.onnx.run import OF_LAMPS, coefficients_of, described
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -214,7 +214,7 @@ def _examples(graph: Graph, coefficients: bool) -> dict[str, tuple[Tensor, dict[
         examples["noise"] = torch.randn_like(image), free
     for name, rows in graph.tensors.items() if coefficients else ():
         row, free = rows[:1], {0: dims["B"]}
-        axis = INPUTS[name].partition(",")[0][-1]
+        axis = described(name).partition(",")[0][-1]
         if axis in "KLMN":
             # two more rates without weight, as an example of one rate would fix that number
             row = pad(row, (0, 2))
@@ -254,7 +254,7 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
     model.graph.doc_string = f"{module.medium}; {plan}"
     # names of free sizes; the output has those of the image
     for value in (*model.graph.input, *model.graph.output):
-        value.doc_string = INPUTS.get(value.name, "the picture under water, as image")
+        value.doc_string = described(value.name)
         dims = value.type.tensor_type.shape.dim
         for axis, size in examples.get(value.name, examples["image"])[1].items():
             dims[axis].dim_param = size.__name__

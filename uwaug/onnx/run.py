@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from uwaug import __version__
-from uwaug._support import checks
 from uwaug._support.codec import from_plain
 from uwaug._support.onnx_session import Session
 from uwaug._support.types import Array
@@ -43,8 +42,17 @@ INPUTS = {
     "lamp_veil_weights": "Bx3xN, weights of the fog, 1/m",
     "lamp_light": "BxPx3, power times color of each of the P lamps; 0 puts one out",
     "pitch": "B, angle of the camera's axis above the horizon, degrees, -90…90",
+    "output": "Bx3xHxW, the picture under water, as image",
 }
 """Inputs of files: shape, meaning and unit. B pictures, K, L, M and N rates."""
+
+
+def described(name: str) -> str:
+    """Shape, meaning and unit of an input; of a further tensor of a medium, shape and name."""
+    if name in INPUTS:
+        return INPUTS[name]
+    return f"{'x'.join(Medium.TENSORS[name]).replace('C', '3')}, uwaug.Medium.{name}"
+
 
 Picture = TypeVar("Picture", Tensor, Array)
 
@@ -106,7 +114,7 @@ def input_rows(media: Mapping[str, Medium], light: Light | None = None) -> dict[
         name: {key: value.tolist() for key, value in coefficients_of(medium, light).items()}
         for name, medium in media.items()
     }
-    names = {key: INPUTS[key] for row in rows.values() for key in row}
+    names = {key: described(key) for row in rows.values() for key in row}
     return {"uwaug_version": __version__, "inputs": names, "waters": rows}
 
 
@@ -143,23 +151,24 @@ class OnnxUnderwater:
         """Degrade an image.
 
         Args:
-            image (Bx3xHxW or 3xHxW tensor or array): floating point, in the module's color space.
+            image (Bx3xHxW or 3xHxW tensor or array): floating point (0…1) or uint8 (0…255), in the
+                module's color space.
             distance (Bx1xHxW or 1xHxW tensor or array): metres, ≥ 0; +inf is open water.
             medium: one, or one for each image; only for a file with coefficients as inputs.
             light: another pitch, and other powers and colors of the file's lamps; likewise.
 
         Returns:
-            The picture in float32: a tensor or an array, as the image.
+            The picture in float32, or uint8 as the image: a tensor or an array, as the image.
 
         Raises:
             TypeError, ValueError: as `Underwater` would; and if a medium is lacking, or given to a
                 file that takes none; or if a light is no variant of the file's.
         """
         pictures, maps = map(_tensor, (image, distance))
-        checks.floating("image", pictures)
         module = self.module
         validate(pictures, maps, medium or module.medium[0], color_space=module.color_space)
-        rows = {"image": pictures, "distance": maps}
+        of_bytes = pictures.dtype == torch.uint8
+        rows = {"image": pictures / 255 if of_bytes else pictures, "distance": maps}
         rows = {name: x.float() if x.ndim == 4 else x[None].float() for name, x in rows.items()}
         rows |= self._coefficients(medium, light)
         # batches are 1 or of one common size; if that is 0, the result is empty
@@ -172,6 +181,8 @@ class OnnxUnderwater:
                 size = (pictures.shape[-2], pictures.shape[-1])
                 rows["noise"] = module.development.noise.normals(batch, size, rows["image"])
             result = self.session({n: x.expand(batch, *x.shape[1:]) for n, x in rows.items()})
+        if of_bytes:
+            result = (result * 255).round().clamp(0, 255).byte()
         if pictures.ndim == 3 and batch == 1:
             result = result[0]
         return result if isinstance(image, Tensor) else result.numpy()

@@ -204,8 +204,8 @@ def _named(plain_name: str) -> Camera:
 
 
 def _read_csv(path: Path) -> Camera:
-    table = read_spectra(path, {"R": "red", "G": "green", "B": "blue"})
+    nm, *response = read_spectra(path, {"R": "red", "G": "green", "B": "blue"}).values()
     try:
-        return Camera(table[:, 0], table[:, 1:], path.stem)
+        return Camera(nm, np.stack(response, 1), path.stem)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error

@@ -185,18 +185,23 @@ def optical_properties(amounts: Mapping[str, float]) -> Array:
         at_660, exponent = SCATTERED_BY_PHYTOPLANKTON
         slope = min(max((math.log10(chlorophyll) - 0.3) / 2, -1.0), 0.0)
         by_particles += at_660 * chlorophyll**exponent * (WAVELENGTHS / 660) ** slope
+    return np.array([a, scattering + by_particles, kd_of(a, scattering, by_particles)])
+
+
+def kd_of(a: Array, by_molecules: Array, by_particles: Array) -> Array:
+    """K_d [1/m] by Kirk 1984, of absorption and of scattering by molecules and particles [1/m]."""
     # molecules scatter half of the light backwards, which is lost as if it were absorbed
-    loss = a + scattering / 2
-    kd = np.sqrt(loss * loss + LOST_BY_SCATTERING * loss * by_particles) / MEAN_COSINE
-    return np.array([a, scattering + by_particles, kd])
+    loss = a + by_molecules / 2
+    kd: Array = np.sqrt(loss * loss + LOST_BY_SCATTERING * loss * by_particles) / MEAN_COSINE
+    return kd
 
 
 @cache
 def phytoplankton() -> tuple[Array, Array]:
     """Absorption, 1/m, at 1 mg/m³ of chlorophyll and its exponent, at `WAVELENGTHS` (N each)."""
     path = Path(__file__).parent / "phytoplankton.csv"
-    table = read_spectra(path, {"A": "absorption", "E": "exponent"})
-    at_1, exponents = (np.interp(WAVELENGTHS, table[:, 0], column) for column in table[:, 1:].T)
+    nm, *columns = read_spectra(path, {"A": "absorption", "E": "exponent"}).values()
+    at_1, exponents = (np.interp(WAVELENGTHS, nm, column) for column in columns)
     return at_1, exponents
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import re
+import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
@@ -115,56 +116,100 @@ def _refuse(name: str, bad: NDArray[np.bool_], axis: Array, fault: str, cure: st
 
 
 _NO_LETTER = re.compile(r"[\W\d]")
+_IN_BRACKETS = re.compile(r"[\[(](.*)[\])]")
+_METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}
+_PER_LENGTH = re.compile(r"(?:(?:1?/|per)(nm|um|mm|cm|km|m)(?:-1)?|(nm|um|mm|cm|km|m)-1)")
+_OF_WAVELENGTH = re.compile(r"(?<![a-z])(?:(nm|nanomet)|um|micro(?:n|met))(?:er|re)?s?(?![a-z])")
 
 
-def read_spectra(path: Path, spectra: Mapping[str, str]) -> Array:
-    """Read the table (N, 1 + spectra) of a CSV file: wavelengths, then spectra, with or without one
-    header line.
+def read_spectra(
+    path: Path, *tables: Mapping[str, str], per_metre: bool = False, cure: str = ""
+) -> dict[str, Array]:
+    """Read a table of a CSV file: wavelengths, then spectra, with or without one header line.
 
     Args:
-        path: path of the file.
-        spectra: name of each spectrum, and a word that may stand for it. The cells of a header
-            begin with one of both, in any case: "b [1/m]" and "scattering", while "beta" and "bb"
-            are something else.
+        path: path of the file. Commas separate cells; or semicolons or tabs, beside which decimal
+            commas are read, too.
+        tables: name of each spectrum, and a word that may stand for it, of each table that a header
+            may announce; without one it is the first. The cells of a header begin with one of both,
+            in any case: "b [1/m]" and "scattering", while "beta" and "bb" are something else.
+        per_metre: spectra are rates, in 1/m or in the units of the header, such as cm^-1.
+        cure: end of the error where the first line is of no such table.
+
+    Returns:
+        Arrays (N) by name: "wavelength" [nm], of which a header may say that they are in µm, and
+        the spectra.
 
     Raises:
-        ValueError: if it is no such table; the message names the line.
+        ValueError: if it is no such table, or its header has an unknown unit; the message names the
+            line.
         OSError: if the file cannot be read.
     """
     require_regular(path)
-    table: list[list[float]] = []
-    names = ", ".join(["wavelength", *spectra])
-    columns = 1 + len(spectra)
+    rows: list[list[float]] = []
+    header: Sequence[str] = ()
+    names = ["wavelength", *tables[0]]
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        reader = csv.reader(file)
-        is_first = True
+        top = file.readline()
+        file.seek(0)
+        reader = csv.reader(file, delimiter=next((sign for sign in ";\t" if sign in top), ","))
         try:
             for row in reader:
                 if not any(cell.strip() for cell in row):
                     continue
+                is_first = not (header or rows)
+                table = next((table for table in tables if _announces(row[1:], table)), None)
+                if is_first and table is not None:
+                    header, names = row, ["wavelength", *table]
+                    continue
                 try:
-                    numbers = [float(cell) for cell in row]
+                    rows.append([float(cell.replace(",", ".")) for cell in row])
                 except ValueError:
-                    numbers = []
-                if len(numbers) == columns:
-                    table.append(numbers)
-                elif not (is_first and len(row) == columns and _is_header(row[1:], spectra)):
+                    rows.append([])
+                if len(rows[-1]) != len(names):
                     # the row is not shown: a preset of somebody else may name a private file
-                    count = {3: "three", 4: "four"}[columns]
+                    count = {3: "three", 4: "four"}[len(names)]
                     raise ValueError(
-                        f"{path}, line {reader.line_num}: expected {count} numbers, {names}, "
-                        "separated by commas, below a header with these names or none"
+                        f"{path}, line {reader.line_num}: expected {count} numbers, "
+                        f"{', '.join(names)}, separated by commas or semicolons, below a header "
+                        f"with these names or none{cure if is_first else ''}"
                     )
-                is_first = False
         except csv.Error as error:
             raise ValueError(f"{path}, line {reader.line_num}: {error}") from None
-    if not table:
-        raise ValueError(f"{path}: no rows of {names}")
-    return np.array(table)
+    if not rows:
+        raise ValueError(f"{path}: no rows of {', '.join(names)}")
+    spectra = dict(zip(names, np.array(rows).T, strict=True))
+    for name, cell in zip(names, header, strict=False):
+        is_axis = name == "wavelength"
+        scale = _scale(cell, is_axis) if is_axis or per_metre else 1.0
+        if scale is None:
+            expected = "nm or µm" if is_axis else "1/m, or such as 1/cm or cm^-1"
+            raise ValueError(f"{path}: the header gives {name} in another unit than {expected}")
+        spectra[name] = spectra[name] * scale
+    return spectra
 
 
-def _is_header(cells: Sequence[str], spectra: Mapping[str, str]) -> bool:
+def _announces(cells: Sequence[str], spectra: Mapping[str, str]) -> bool:
     """True if each cell begins with the name of its spectrum, or the word that stands for it."""
     words = [_NO_LETTER.split(cell.strip().lower(), 1)[0] for cell in cells]
-    pairs = zip(words, spectra.items(), strict=True)
-    return all(word in (name.lower(), other) for word, (name, other) in pairs)
+    pairs = zip(words, spectra.items(), strict=False)
+    is_whole = len(words) == len(spectra)
+    return is_whole and all(word in (name.lower(), other) for word, (name, other) in pairs)
+
+
+def _scale(cell: str, is_axis: bool) -> float | None:
+    """Factor from the unit in a cell of a header to nm, of wavelengths, or to 1/m; None if the unit
+    is unknown, 1 without one.
+    """
+    text = unicodedata.normalize("NFKC", cell).lower().replace("μ", "u").replace("\u2212", "-")
+    brackets = _IN_BRACKETS.search(text)
+    if is_axis:
+        if unit := _OF_WAVELENGTH.search(text.replace("_", " ")):
+            return 1.0 if unit[1] else 1e3
+        return None if brackets or "/" in text else 1.0
+    outside = text.strip()[len(_NO_LETTER.split(text.strip(), 1)[0]) :]
+    unit_text = re.sub(r"[\s^{}]", "", brackets[1] if brackets else outside)
+    if unit := _PER_LENGTH.fullmatch(unit_text):
+        return 1 / _METRES[unit[1] or unit[2]]
+    is_unit = unit_text in _METRES or "[" in text or re.search(r"[\d/%-]", unit_text)
+    return None if is_unit else 1.0

@@ -23,6 +23,7 @@ from uwaug.optics.constituents import (
     PLACES,
     UNITS,
     Constituents,
+    kd_of,
     optical_properties,
     pure_water,
 )
@@ -469,7 +470,9 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
             mixture of two Jerlov types, "0.7*3C+0.3*7C", see `Water.mix`; contents such as
             "chlorophyll=5,cdom=0.3,minerals=1" (see `Water.from_constituents`); or the path of a
             CSV file (a string that ends in ``.csv``, or any path object) whose rows are wavelength
-            [nm], a, b, K_d [1/m], separated by commas, with or without one header line.
+            [nm], a, b, K_d [1/m], separated by commas or semicolons, with or without one header
+            line. A header may name other units, such as µm and 1/cm. In it c may take the place of
+            b, which is c − a, and K_d may be missing, which then follows from a and b.
 
     Raises:
         TypeError: if ``water`` is none of these.
@@ -525,9 +528,25 @@ def _mixture(text: str) -> Water:
 
 
 def _read_csv(path: Path) -> Water:
-    table = read_spectra(path, {"a": "absorption", "b": "scattering", "K_d": "kd"})
+    a, b, c, kd = ("a", "absorption"), ("b", "scattering"), ("c", "attenuation"), ("K_d", "kd")
+    tables = map(dict, ((a, b, kd), (a, c, kd), (a, b), (a, c)))
+    cure = (
+        "; c may stand for b = c − a, and K_d be left out. K_d or a Secchi depth alone leave a and "
+        "b open: take a Jerlov type, or contents, and the contrast that is left at a distance"
+    )
+    spectra = read_spectra(path, *tables, per_metre=True, cure=cure)
+    sources = [f"{', '.join([*spectra][1:])}: {path.name}"]
     try:
-        return Water(*table.T, name=path.stem, provenance=(f"a, b, K_d: {path.name}",))
+        if "c" in spectra:
+            sources.append("b: c − a")
+            spectra["b"] = spectra["c"] - spectra["a"]
+        if "K_d" not in spectra:
+            sources.append("K_d: of a and b by Kirk 1984")
+            _, molecules = pure_water(wavelength_axis(spectra["wavelength"]).tobytes())
+            particles = np.maximum(spectra["b"] - molecules, 0)
+            spectra["K_d"] = kd_of(spectra["a"], molecules, particles)
+        columns = (spectra[name] for name in ("wavelength", "a", "b", "K_d"))
+        return Water(*columns, name=path.stem, provenance=sources)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 

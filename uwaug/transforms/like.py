@@ -92,7 +92,7 @@ def _verdict(unlikeness: float) -> str:
     """A distance from a photograph in words."""
     if unlikeness < _FAIR_FROM:
         return "near"
-    return "fair" if unlikeness < _FAR_FROM else "far from anything that water can do"
+    return "fair" if unlikeness < _FAR_FROM else "far from all that was tried"
 
 
 @codec.plain

@@ -57,8 +57,8 @@ class RandomLight(Noun):
         daylight: factor of daylight beside the lamps, see `uwaug.Light`.
         pitch: angle of the camera's axis above the horizon, degrees: water is brighter towards the
             surface; None: alike in all directions.
-        power: stops by which all lamps together make a white plate at the median distance, in air,
-            brighter than daylight at the surface does.
+        power: stops by which all lamps together, if they hung at the lens, would make a white plate
+            at the median distance, in air, brighter than daylight at the surface does.
         cone: as for `uwaug.Lamp`, degrees.
         across, down: point at the median distance at which the lamps aim, in shares of that
             distance, right of the middle and below it; the view ends at .58.

@@ -34,8 +34,8 @@ Knob = Literal["contents", "distance"]
 CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.35), minerals=(0.25, 4.0))
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
-WATERS = ("IB", "II", "III", "1C", "3C", "5C", "7C", *[CONTENTS] * 4)
-"""Seven of eleven default waters are Jerlov types, four are of other contents. In 9C by name
+WATERS = ("IB", "II", "III", "1C", "3C", "5C", *[CONTENTS] * 4)
+"""Six of ten default waters are Jerlov types, four are of other contents. In 7C and 9C by name
 nearly one colour is left, which looks like a filter; silt makes such waters grey. (Others that were
 tried: benchmarks/CHOICES.md, default draws.)
 """
@@ -123,7 +123,7 @@ class RandomWater(Noun):
     logarithm.
 
     Args:
-        waters: None for `WATERS`: seven of eleven pictures in Jerlov types, the others in waters of
+        waters: None for `WATERS`: six of ten pictures in Jerlov types, the others in waters of
             other contents. Else one or several of what `uwaug.load_water` takes (Jerlov types,
             places, contents, CSV files, `Water` objects); `Constituents` (or their text, such as
             "chlorophyll=1:20,cdom=.1:1"), whose contents are drawn anew for each picture,
@@ -289,7 +289,14 @@ class RandomWater(Noun):
         if measured.metered and not measured.lamps:
             daylight = water.daylight(depth)
             if daylight < DIMMEST:
-                depth, daylight = min(depth, water.depth_of_daylight(DIMMEST)), DIMMEST
+                deepest = min(depth, water.depth_of_daylight(DIMMEST))
+                if not isinstance(self.vertical_depth, tuple):
+                    got = (
+                        f"{depth:g} m below the surface {water.name} leaves {daylight:.1g} of light"
+                    )
+                    cure = "metered=False keeps the dark"
+                    odd_scene.warn(f"{got}: the scene is taken at {deepest:.3g} m; {cure}")
+                depth, daylight = deepest, DIMMEST
         law = self.point_spread or _calibrated(FOCAL_LENGTH * measured.width)
         surfaces = "color_matrix" in draw, draw.get("color_matrix", 1.0)
         tolerance = _CURVES * daylight  # errors, too, are brought up by an exposure

@@ -123,8 +123,14 @@ class SampleTransform(nn.Module):
 
         Returns:
             A function of the same inputs as the transform, which draws the same at every call.
+            Its record is `make_params(image, generator_of(seed, epoch, index))`.
         """
         return partial(self._apply_with, key_of(seed, epoch, index))
+
+    @staticmethod
+    def generator_of(seed: int, epoch: int, index: int | str) -> torch.Generator:
+        """The source of randomness of a key, see `at`."""
+        return torch.Generator().manual_seed(key_of(seed, epoch, index))
 
     @uncompiled
     def _apply_with(self, key: int, *inputs: Any) -> Any:
@@ -176,6 +182,7 @@ def maps_for(pictures: Tensor, distance: Any, source: Source) -> Sequence[Tensor
         return [None] * len(pictures)
     if distance is None:
         cure = "for pictures without maps there are MadeUp, Network and Plane of uwaug.distance"
+        cure += ". kornia's containers pass a picture alone: call the transform after them"
         raise ValueError(
             f"distance is missing: give a map, or RandomUnderwater(distance=…): {cure}"
         )

@@ -125,7 +125,13 @@ class Scenes(NamedTuple):
         return settings[picture].reached if picture in settings else None
 
     def truth(self, picture: int = 0) -> Truth | None:
-        """What water and camera did to one of the pictures; None if it is left alone."""
+        """What water and camera did to one of the pictures; None if it is left alone.
+
+        Raises:
+            IndexError: if there is no such picture.
+        """
+        if not 0 <= picture < len(self.pictures):
+            raise IndexError(f"picture must be 0…{len(self.pictures) - 1}, got {picture}")
         if picture not in self.chosen:
             return None
         i = list(self.chosen).index(picture)

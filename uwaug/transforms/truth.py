@@ -1,5 +1,6 @@
 """What water and camera did to a picture, in linear light: the truth for restoration."""
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -21,17 +22,22 @@ Shape = Callable[[Tensor], Tensor]
 """Function of the optical depth."""
 
 
+MAPS = ("clean", "z", "transmission", "signal", "veil")
+"""Maps of a `Truth`."""
+
+
 class Coefficients(NamedTuple):
     """A picture's water in the words of Akkaynak and Treibitz (2018), a number a channel:
 
         gain·(ambient·J·e^(−beta_d·z) + b_inf·(1 − e^(−beta_b·z)))
 
-    Light that reaches the camera is a sum of exponentials of distance, part of it blurred; these
-    are the nearest single ones, by least squares over the picture.
+    Light that reaches the camera is a sum of exponentials of distance, part of it blurred. Light at
+    depth and endless veil are the water's; the rates are the nearest single ones, by least squares
+    over the picture.
 
     Attributes:
         beta_d, beta_b: attenuation of the scene's light, and of the veil, 1/m.
-        b_inf: veil of endless water; 1 is a white plate at the surface.
+        b_inf: veil of endless water, mean over directions; 1 is a white plate at the surface.
         ambient: light at depth on a white plate, relative to the surface.
         rmse: error of the picture in linear light that these coefficients leave.
     """
@@ -59,7 +65,8 @@ class Truth(NamedTuple):
         veil (3xHxW): backscattered light.
         gain (3x3): matrix of the camera: exposure, white balance and saturation.
         vertical_depth: m; None of a `Medium`.
-        coefficients: the nearest water of single exponentials.
+        coefficients: the nearest water of single exponentials; None under lamps, whose light is no
+            function of distance alone.
     """
 
     clean: Tensor
@@ -69,14 +76,14 @@ class Truth(NamedTuple):
     veil: Tensor
     gain: Tensor
     vertical_depth: float | None
-    coefficients: Coefficients
+    coefficients: Coefficients | None
 
     def record(self) -> dict[str, Any]:
         """All but the maps, as JSON holds it."""
         return {
             "gain": self.gain.tolist(),
             "vertical_depth": self.vertical_depth,
-            "coefficients": self.coefficients._asdict(),
+            "coefficients": self.coefficients and self.coefficients._asdict(),
         }
 
 
@@ -97,41 +104,45 @@ def truth_of(
         medium, light, development: of this picture.
         vertical_depth: m, or None.
     """
-    T, terms, gain = terms_of(J, z, medium.to(z), development, light=light, metres=metres)
+    medium = medium.to(z)
+    T, terms, gain = terms_of(J, z, medium, development, light=light, metres=metres)
     direct, forward, *added = terms.values()
     signal, veil = direct + forward, sum(added[1:], added[0])
-    arriving = passed(T.direct + T.scatter, z.new_ones(1, 3, 1, 1)).expand_as(J)
+    white = z.new_ones(1, 3, 1, 1)
+    arriving = passed(T.direct + T.scatter, white).expand_as(J)
+    coefficients = None
+    if light is None or not light.lamps:
+        day = medium if light is None else medium.brightened(z.new_full((1, 1), light.daylight))
+        lens, endless = z.new_tensor([0.0, math.inf])[:, None, None, None, None]
+        ambient, level = passed(day.signal(lens), white), day.backscatter(z)
+        b_inf = (
+            day.backscatter(endless) * (veil.mean((-2, -1)) / level.mean((-2, -1)))[..., None, None]
+        )
+        beta_d = _nearest(z, ambient * J, signal, lambda x: torch.exp(-x))
+        beta_b = _nearest(z, b_inf, veil, lambda x: -torch.expm1(-x))
+        rebuilt = ambient * J * torch.exp(-beta_d * z) - b_inf * torch.expm1(-beta_b * z)
+        error = exposed(rebuilt - signal - veil, gain)
+        numbers = {"beta_d": beta_d, "beta_b": beta_b, "b_inf": b_inf, "ambient": ambient}
+        of_channels: dict[str, list[float]] = {k: x.flatten().tolist() for k, x in numbers.items()}
+        coefficients = Coefficients(**of_channels, rmse=float(error.square().mean().sqrt()))
     matrix = gain if gain.ndim == 3 else torch.diag_embed(gain.expand(1, 3))
-    beta_d, ambient = _nearest(z, J, signal, lambda x: torch.exp(-x))
-    beta_b, b_inf = _nearest(z, torch.ones_like(J), veil, lambda x: -torch.expm1(-x))
-    flat = z.flatten(2)
-    rebuilt = ambient * J.flatten(2) * torch.exp(-beta_d * flat)
-    rebuilt = rebuilt - b_inf * torch.expm1(-beta_b * flat)
-    error = exposed((rebuilt - (signal + veil).flatten(2))[..., None], gain.double())
-    numbers = [x.flatten().tolist() for x in (beta_d, beta_b, b_inf, ambient)]
-    coefficients = Coefficients(*numbers, rmse=float(error.square().mean().sqrt()))
     maps = J[0], z[0], arriving[0], signal[0], veil[0], matrix[0]
     return Truth(*maps, vertical_depth, coefficients)
 
 
-def _nearest(z: Tensor, weights: Tensor, light: Tensor, shape: Shape) -> tuple[Tensor, Tensor]:
-    """Rates and amplitudes (1x3x1) of the nearest amplitude·weights·shape(rate·z) to light
-    (1x3xHxW), by some of the pixels. For each rate, the best amplitude is linear.
+def _nearest(z: Tensor, white: Tensor, light: Tensor, shape: Shape) -> Tensor:
+    """Rates (1x3x1x1) of the white·shape(rate·z) that is nearest to light (1x3xHxW), by some of the
+    pixels.
     """
-    step = max(1, z.numel() // _PIXELS)
-    x, w, y = (map.flatten(2)[:, :, None, ::step].double() for map in (z, weights, light))
-
-    def explained(rates: Tensor) -> tuple[Tensor, Tensor]:
-        column = w * shape(rates[..., None] * x)
-        product, power = (column * y).sum(-1), column.square().sum(-1)
-        amplitude = product / power.clamp(min=torch.finfo(x.dtype).tiny)
-        return amplitude, amplitude * product  # of squares
-
+    step = z.numel() // _PIXELS | 1  # odd: not the same columns of every row
+    maps = (x.expand_as(light).flatten(2) for x in (z, white, light))
+    x, w, y = (values[:, :, None, ::step].double() for values in maps)
     low, high = (x.new_full((1, 3, 1), end).log() for end in _RATES)
     shares = torch.linspace(0, 1, _GRID, dtype=x.dtype, device=x.device)
     for _ in range(_ZOOMS):
         rates = (low + (high - low) * shares).exp()
-        best = explained(rates)[1].argmax(-1, keepdim=True)
+        error = (w * shape(rates[..., None] * x) - y).square().sum(-1)
+        best = error.argmin(-1, keepdim=True)
         low, high = (rates.gather(-1, (best + k).clamp(0, _GRID - 1)).log() for k in (-1, 1))
-    rate = rates.gather(-1, best)
-    return rate, explained(rate)[0]
+    nearest: Tensor = rates.gather(-1, best)[..., None].to(z)
+    return nearest
