@@ -341,7 +341,7 @@ def detector() -> str:
     """What training gains for a detector, and where markers are read."""
     found, markers = load("detector"), load("markers")
     head = [
-        f"{Path(name).name} ({of['pictures']} pictures, {of['boxes']} persons)"
+        f"{'air' if name == 'land/val' else Path(name).name} ({of['pictures']} pictures, {of['boxes']} persons)"
         for name, of in found["sets"].items()
     ]
     tables = list(found["tables"].values())
