@@ -187,6 +187,42 @@ def test_bytes_of_any_order(name: str) -> None:
     assert torch.equal(shares, torch.from_numpy((values / 65535).astype(np.float32)))
 
 
+@pytest.mark.parametrize(
+    "header, kind",
+    [
+        (b"Pf\n32 24\n-1.0\n", "<f4"),
+        (b"Pf\n32 24\n1\n", ">f4"),
+        (b"Pf 32 24 -0.003922\r\n", "<f4"),
+        (b"PF\n32 24\n-1.0\n", "<f4"),
+    ],
+)
+def test_portable_float_maps(header: bytes, kind: str) -> None:
+    values = np.repeat(Z[::-1, :, None], 3 if header.startswith(b"PF") else 1, 2)
+    data = header + values.astype(kind).tobytes()
+    Path("z.pfm").write_bytes(data)
+    assert torch.equal(read_distance("z.pfm"), torch.from_numpy(Z)[None])
+    for damaged in (data[:-1], b"P5\n32 24\n255\n", data.replace(b"32", b"xy")):
+        Path("z.pfm").write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"z\.pfm: cannot be decoded"):
+            read_distance("z.pfm")
+
+
+def test_arrays_of_an_archive() -> None:
+    archives: list[dict[str, Any]] = [
+        {"arr_0": Z},
+        {"Depth": Z, "mask": Z > 2},
+        {"z": Z, "rgb": LIGHT},
+    ]
+    for arrays in archives:
+        np.savez("z.npz", **arrays)
+        assert torch.equal(read_distance("z.npz"), torch.from_numpy(Z)[None])
+    np.savez("z.npz", a=Z, b=Z)
+    with pytest.raises(ValueError, match=r"z\.npz: .*expected one array called depth, got a, b"):
+        read_distance("z.npz")
+    with pytest.raises(ValueError, match=r"z\.npz: expected a file that ends in \.npy, \.exr"):
+        read_picture("z.npz")
+
+
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
 def test_channels_that_are_equal_are_one(channels: int) -> None:
     alike = np.repeat(GREY[..., None], 3, 2)

@@ -1,11 +1,13 @@
 """Which files of a folder are pictures, and where their maps are."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from uwaug.files import find_items
+from uwaug.files.items import delay_of
 
 
 @pytest.fixture(autouse=True)
@@ -50,6 +52,60 @@ FOUND: list[tuple[str, str, str | None, dict[str, str]]] = [
     ("d/@home.png d/@eaDir/1.png d/.hidden.png d/.trash/b.png", "d", None, {"@home.png": ""}),
     ("d/._a.png", "d/._a.png", None, {"._a.png": ""}),
 ]
+
+
+TIMES = "m/1305031102.160104.png m/1305031102.193437.png"
+DEPTH_FIRST = "# depth, colour\n1.16 m/2.png 1.17 d/1.png 9.5\n"
+LISTED: list[tuple[str, str, dict[str, str]]] = [
+    # a list of pictures and maps, maps beside it, and what is found
+    ("1.17 d/1.png 1.16 m/2.png\n1.2 d/3.png 1.1 m/4.png", "m/2.png", {"1.png": "m/2.png"}),
+    (DEPTH_FIRST, "m/2.png", {"1.png": "m/2.png"}),
+    ("\ufeffD:\\tum\\d\\1.png;D:\\tum\\m\\2.pfm\r\n", "m/2.pfm", {"1.png": "m/2.pfm"}),
+]
+
+
+@pytest.mark.parametrize("text, maps, found", LISTED)
+def test_maps_by_a_list(text: str, maps: str, found: dict[str, str]) -> None:
+    touch(f"d/1.png d/2.png {maps}")
+    Path("pairs.txt").write_text(text, encoding="utf-8")
+    assert names("d", "pairs.txt") == {**found, "2.png": "pairs.txt/2.png"}  # which has none
+    Path("pairs.txt").write_text("1.png\n")
+    with pytest.raises(ValueError, match=r"no line of pairs.txt has it and a map"):
+        find_items("d", "pairs.txt")
+
+
+@pytest.mark.parametrize(
+    "picture, found",
+    [
+        ("1305031102.175304.png", "m/1305031102.160104.png"),
+        ("1305031102.179304.png", "m/1305031102.193437.png"),
+        ("1305031102179.jpg", "m/1305031102.193437.png"),
+        ("left-1305031102161104000.jpg", "m/1305031102.160104.png"),
+        ("1305031102.260104.png", "m/1305031102.260104"),  # is too far away
+    ],
+)
+def test_maps_of_the_nearest_time(picture: str, found: str) -> None:
+    touch(f"d/1305031102.160104.png d/{picture} {TIMES}")
+    assert names("d", "m")[picture] == found
+    said = delay_of(find_items("d", "m"))
+    assert bool(re.fullmatch(r"1 pictures have .* times, 1?\d ms away at most", said)) == (
+        Path(found).is_file()
+    )
+
+
+@pytest.mark.parametrize(
+    "files, maps, message",
+    [
+        ("m/0.h5 m/1.h5 m/notes.txt", "m", r"m/15.200, ending in .*; found 2 files ending in .h5"),
+        ("k/1.png", "m", "there are no files in m"),
+        ("m/15.23000.png m/15.11000.png", "m", r"found m/15.23000.png, 30 ms away"),
+        ("m/15.20000.png", "m/{stem}_z", r"m/15.200_z, .*found m/15.20000.png, 0 ms away"),
+    ],
+)
+def test_what_is_there_in_place_of_maps_is_said(files: str, maps: str, message: str) -> None:
+    touch(f"d/15.200.png {files}")
+    with pytest.raises(ValueError, match=message):
+        find_items("d", maps)
 
 
 @pytest.mark.parametrize("files, pictures, maps, found", FOUND)

@@ -21,6 +21,7 @@ from uwaug.files.formats import FORMATS, open_labels
 from uwaug.files.items import Item
 from uwaug.files.labels import Judged, Labels, judged
 from uwaug.files.summary import Result
+from uwaug.files.yolo import Yolo
 
 H, W = 6, 8
 SIZE = (H, W)
@@ -149,6 +150,7 @@ VOC = """<annotation><folder>a</folder><filename>1.jpg</filename><path>/home/me/
 HALVES = np.repeat(np.uint8([[0] * 4 + [1] * 4]), H, 0)
 SHARES = "expected a class, and shares"
 POINTS = "numbers are polygons, or have keypoints: say kpt_shape"
+PANOPTIC = {"image_id": 1, "file_name": "a.png", "segments_info": [{"id": 3226956}]}
 SAME = {"images": [IMAGES[0], IMAGES[1] | {"id": 1}]}
 
 
@@ -177,6 +179,7 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("a.json", image(width=99), "is of 99×6 px, its picture of 8×6"),
     ("a.json", image(width=H, height=W), "is of 6×8 px, .*, as EXIF .* exchange width"),
     ("a.json", image(file_name="b.jpg"), r"no image .* reef/a.jpg in its split \(there are b.jpg"),
+    ("a.json", coco(annotations=[PANOPTIC]), "is a panoptic file: give the folder of its PNGs"),
     ("labels/reef/a.txt", f"{ALL}0 10 20 30 40", f"line 2: {SHARES} of width and height"),
     ("labels/reef/a.txt", f"{ALL}0 nan .5 .5 .5", f"line 2: {SHARES}"),
     ("labels/reef/a.txt", f"{ALL}0 .5 .5", f"line 2: {SHARES}"),
@@ -554,6 +557,93 @@ def test_splits(tmp_path: Path, case: str) -> None:
         assert (tmp_path / f"out/{split}.txt").read_text().splitlines() == listed
     if EMPTY.format("test", "nothing") in notes:
         assert (tmp_path / "out/test.txt").read_text() == ""
+
+
+@pytest.mark.parametrize(
+    "line, end",
+    [
+        ("/content/drive/MyDrive/fish/{}", "\n"),
+        ("D:\\annotated\\{}  ", "\r\n\r\n"),
+        ("data/{}", "\n"),
+        ("../ds/{}", ""),
+    ],
+)
+@pytest.mark.parametrize("folder", ["images", "obj_train_data", "deep/images/sea"])
+def test_lists_that_another_machine_has_written(
+    tmp_path: Path, line: str, end: str, folder: str
+) -> None:
+    names = [f"{folder}/{number}.png" for number in range(3)]
+    where = "D:\\fish\\lists\\" if "\\" in line else "/fish/lists/"
+    write(tmp_path / "data.yaml", f"train: {where}train.txt\nval: {where}val.txt\nnames: [fish]\n")
+    for name in names:
+        write((tmp_path / name.replace("images", "labels")).with_suffix(".txt"), ALL)
+    for split, listed, coding in (("train", names[:2], "utf-8-sig"), ("val", names[2:], "utf-16")):
+        paths = [name.replace("/", "\\") if "\\" in line else name for name in listed]
+        text = "".join(line.format(path) + (end or "\n") for path in paths)
+        (tmp_path / "lists").mkdir(exist_ok=True)
+        (tmp_path / f"lists/{split}.txt").write_bytes(text.encode(coding))
+    labels = opened(tmp_path, *names)
+    assert isinstance(labels, Yolo)
+    assert labels.splits == {names[0]: ["train"], names[1]: ["train"], names[2]: ["val"]}
+    assert labels.only(names[0]).splits == {}  # is sent with each picture
+
+
+@pytest.mark.parametrize(
+    "train, val, message",
+    [
+        (
+            "/a/images/0.png",
+            "/a/photos/1.png",
+            "/a/photos/1.png, of the list of val, is the end of no",
+        ),
+        ("/a/images/0.png", "", ""),  # an empty list says that nothing is of it
+        ("/a/images/0.png", "/b/images/0.png", "0.png may be /a/images/0.png or /b/images/0.png"),
+        ("/a/images/0.png\n./images/1.png", "/a/images/0.png", ""),
+        (
+            "/a/deep/0.png",
+            "/a/images/1.png",
+            "/a/deep/0.png, of the list of train, is the end of no",
+        ),
+    ],
+)
+def test_lists_that_are_of_no_picture_or_of_two(
+    tmp_path: Path, train: str, val: str, message: str
+) -> None:
+    write(tmp_path / "data.yaml", "train: train.txt\nval: val.txt\nnames: [fish]\n")
+    names = ["images/0.png", "images/1.png"]
+    for name, text in (("train.txt", train), ("val.txt", val), ("labels/0.txt", ALL)):
+        write(tmp_path / name, text)
+    if not message:
+        opened(tmp_path, *names)
+        return
+    with pytest.raises(ValueError, match=re.escape(message)):
+        opened(tmp_path, *names)
+
+
+def test_a_line_without_a_folder_of_its_own_is_of_one_picture(tmp_path: Path) -> None:
+    write(tmp_path / "data.yaml", "train: train.txt\nnames: [fish]\n")
+    write(tmp_path / "a/labels/0.txt", ALL)
+    write(tmp_path / "train.txt", "/content/images/0.png\n")
+    with pytest.raises(
+        ValueError, match=r"/content/images/0.png may be .*a/images.* or .*b/images"
+    ):
+        opened(tmp_path, "a/images/0.png", "b/images/0.png")
+    # a list of train names no picture of val
+    write(tmp_path / "train.txt", "/content/train/images/0.png\n")
+    labels = opened(tmp_path, "val/images/0.png", "a/images/0.png")
+    assert isinstance(labels, Yolo)
+    assert labels.splits == {"val/images/0.png": [], "a/images/0.png": ["train"]}
+
+
+def test_folders_that_another_machine_has_named(tmp_path: Path) -> None:
+    write(
+        tmp_path / "data.yaml", "train: /content/a/images\nval: D:\\x\\b\\images\nnames: [fish]\n"
+    )
+    names = ["a/images/0.png", "b/images/1.png", "c/images/2.png"]
+    write(tmp_path / "a/labels/0.txt", ALL)
+    labels = opened(tmp_path, *names)
+    assert isinstance(labels, Yolo)
+    assert list(labels.splits.values()) == [["train"], ["val"], []]
 
 
 POSES = {

@@ -535,7 +535,7 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
     assert statuses(summary) == ["written", "failed", "failed", "failed"]
     first, second, third = summary.failures
     assert first.startswith("1.png: all/1.png: cannot be decoded")
-    assert second.startswith("2.png: depth/2: expected a file that ends in")
+    assert second == "2.png: depth/2 is not there; found 3 files ending in .npy"
     assert third.startswith("3.png: distance is (9, 9) but image is (24, 32)")
     with open("out/index.csv", newline="") as file:
         lines = list(csv.DictReader(file))

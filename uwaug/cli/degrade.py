@@ -94,6 +94,14 @@ def degrade(
     sequence: Annotated[
         bool, typer.Option("--sequence", help="Each folder is a film: one draw for its frames.")
     ] = False,
+    rig: Annotated[
+        str,
+        typer.Option(
+            help="Folders that are cameras of one rig and share a film: their names, as left,right;"
+            " auto, by names and times; or none.",
+            metavar="FOLDER,FOLDER|auto|none",
+        ),
+    ] = "auto",
     resume: Resume = False,
     force: Force = False,
     sheet: Annotated[bool, typer.Option("--sheet", help="Also draw a sheet of results.")] = False,
@@ -167,6 +175,7 @@ def degrade(
             labels=labels,
             min_contrast=min_contrast,
             sequence=sequence,
+            rig=rig,
             maps=maps,
             **run_values,
         )

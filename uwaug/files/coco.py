@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uwaug.files.labels import PICTURES, Entry, Key, Labels, require_size, split_of, write_labels
+from uwaug.files.labels import Entry, Key, Labels, require_size, write_labels
+from uwaug.files.paths import PICTURES, parts_of, split_of
 
 if TYPE_CHECKING:
     from uwaug.files.items import Item
@@ -42,9 +43,14 @@ class Coco(Labels):
             rest = json.loads(path.read_text(encoding="utf-8-sig"))
             images = list(rest.pop("images"))
             annotations: dict[Any, list[Entry]] = {image["id"]: [] for image in images}
-            if len(annotations) < len(images) or not all(map(_parts, images)):
+            if len(annotations) < len(images) or not all(
+                parts_of(str(image["file_name"])) for image in images
+            ):
                 raise ValueError("expected a file_name and an id of its own for each image")
             for entry in rest.pop("annotations"):
+                if "segments_info" in entry:
+                    cure = "give the folder of its PNGs, and strike from it what they lose"
+                    return f"{path}: is a panoptic file: {cure}"
                 annotations[entry["image_id"]].append(entry)
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             return f"{path}: is no COCO file: {error!r}"
@@ -103,12 +109,6 @@ class Coco(Labels):
         return [note] if missing else []
 
 
-def _parts(image: Entry) -> list[str]:
-    """Folders and name of an image's file, on any system."""
-    words = str(image["file_name"]).replace("\\", "/").split("/")
-    return [word for word in words if word not in ("", ".", "..")]
-
-
 def _matches(path: Path, images: Sequence[Entry], items: Sequence["Item"]) -> dict[str, Entry]:
     """The image of each picture that has one, by the picture's name.
 
@@ -117,7 +117,7 @@ def _matches(path: Path, images: Sequence[Entry], items: Sequence["Item"]) -> di
     """
     by_end: dict[str, list[Entry]] = defaultdict(list)
     for image in images:
-        parts = _parts(image)
+        parts = parts_of(str(image["file_name"]))
         plain = [part for part in parts if part not in PICTURES]
         is_absolute = re.match(r"[/\\]|\w:", str(image["file_name"]))
         for end in {"/".join(x) for x in (parts, plain, parts[-2:] if is_absolute else parts)}:

@@ -2,11 +2,13 @@
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import count
 from typing import Any, NamedTuple
 
 from uwaug._support import checks
 from uwaug.files.items import Item
+from uwaug.files.paths import time_of
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, reason_of
 from uwaug.transforms.draws import Record, of_frame
@@ -14,32 +16,92 @@ from uwaug.transforms.draws import Record, of_frame
 _CANDIDATES = 9  # largest number of frames of a film that its draw may be settled on
 _DARK_MEAN = 0.1  # 0…1; a darker frame, such as a fade, is no measure of a film's exposure
 
+_SIDES = "left|right|cent(?:er|re)|front|rear|back|top|bottom|[lr]"
+_COUNTED = "(?:image|img|im|view|infra|rgb|gopro)[-_ ]?\\d+|cam(?:era)?[-_ ]?(?:\\d+|[a-d])"
+# what tells the cameras of a rig apart: in names of files, and in names of folders
+_IN_FILES, _IN_FOLDERS = (
+    re.compile(rf"(?<![a-z])(?:{words})(?:[-_ ](?:{_SIDES}))*(?![a-z\d])", re.IGNORECASE)
+    for words in (_SIDES, f"{_SIDES}|{_COUNTED}")
+)
+
 
 class Frame(NamedTuple):
-    """A frame of a film.
+    """A frame of a film, which several cameras of a rig may have taken.
 
     Attributes:
-        number: place of the frame in its film, from 0.
+        number: place of the frame among all of the film's, from 0.
+        moment: place of the frame in time, from 0; frames of several cameras share it.
         candidates: frames that the film's draw may be settled on, from all over it, the middle one
-            first.
+            of the first camera first.
     """
 
     number: int
+    moment: int
     candidates: tuple[Item, ...]
 
 
-def frames_of(items: Sequence[Item]) -> dict[Item, Frame]:
-    """The frame of each picture, where each folder is a film."""
-    films: dict[str, list[Item]] = {}
+def frames_of(items: Sequence[Item], rig: str = "auto") -> dict[Item, Frame]:
+    """The frame of each picture, by `rig` of `Recipe`."""
+    folders: dict[str, list[Item]] = {}
     for item in sorted(items, key=_as_counted):
-        films.setdefault(os.path.dirname(item.name), []).append(item)
+        folders.setdefault(os.path.dirname(item.name), []).append(item)
+    folder_names = () if rig in ("auto", "none") else rig.split(",")
+    if absent := {*folder_names} - {part for folder in folders for part in folder.split("/")}:
+        raise ValueError(f"rig (--rig): no folder of pictures is called {' or '.join(absent)}")
+    films: dict[str, list[list[Item]]] = {}
+    for folder, pictures in folders.items():
+        film = "/".join("*" if part in folder_names else part for part in folder.split("/"))
+        if rig == "auto":
+            film = _without_camera(folder, _IN_FOLDERS)
+            if film in films and not _are_at_one_time(films[film][0], pictures):
+                film = folder
+        films.setdefault(film, []).append(pictures)
     frames: dict[Item, Frame] = {}
-    for film in films.values():
-        n = len(film)
-        places = dict.fromkeys((n // 2 + k * n // _CANDIDATES) % n for k in range(_CANDIDATES))
-        candidates = tuple(film[place] for place in places)
-        frames |= {item: Frame(number, candidates) for number, item in enumerate(film)}
+    for cameras in films.values():
+        shares = [(n / _CANDIDATES + 0.5) % 1 for n in range(_CANDIDATES)]
+        candidates = tuple(
+            dict.fromkeys(film[int(share * len(film))] for film in cameras for share in shares)
+        )
+        moments = {name: place for place, name in enumerate(dict.fromkeys(_moments(cameras[0])))}
+        numbers = count()
+        for camera in cameras:
+            for place, (item, name) in enumerate(zip(camera, _moments(camera), strict=True)):
+                frames[item] = Frame(next(numbers), moments.get(name, place), candidates)
     return frames
+
+
+def rigs_of(frames: Mapping[Item, Frame]) -> str:
+    """A sentence on films that share a water, or do not; "" for one film of one camera."""
+    films: dict[Item, dict[str, None]] = {}
+    for item, frame in frames.items():
+        films.setdefault(frame.candidates[0], {})[os.path.dirname(item.name) or "."] = None
+    cameras = max(films.values(), key=len)
+    count_of_all = f"{len(films)} films, each in its own water" if len(films) > 1 else "one film"
+    if len(cameras) == 1:
+        return f"{count_of_all}: are some by one rig? --rig FOLDER,FOLDER" if len(films) > 1 else ""
+    first, second, *_ = cameras
+    got = f"{first} and {second} are taken for cameras of a rig: one water, metered on {first}"
+    return f"{count_of_all}; {got}; --rig none if they are none"
+
+
+def _without_camera(path: str, camera: re.Pattern[str]) -> str:
+    """A path with * in place of words that tell cameras apart. A capital begins a word, too."""
+    return camera.sub("*", re.sub(r"(?<=[a-z\d])(?=[A-Z])", " ", path))
+
+
+def _moments(film: Sequence[Item]) -> list[str]:
+    """Names of frames that all cameras of a rig share."""
+    stems = (os.path.splitext(os.path.basename(item.name))[0] for item in film)
+    return [_without_camera(stem, _IN_FILES) for stem in stems]
+
+
+def _are_at_one_time(film: Sequence[Item], other: Sequence[Item]) -> bool:
+    """True if half of the names of frames are the same, or the times overlap that they say."""
+    names = {*_moments(film)} & {*_moments(other)}
+    if 2 * len(names) >= min(len(film), len(other)):
+        return True
+    times = [[t for item in f if (t := time_of(item.name)) is not None] for f in (film, other)]
+    return all(times) and max(map(min, times)) <= min(map(max, times))
 
 
 def _as_counted(item: Item) -> list[Any]:
@@ -76,8 +138,8 @@ class Films:
         (sample,) = record["samples"]
         if "measured" not in sample:
             return record
-        motion = [step * frame.number for step in sample["motion"]]
-        ways = {"moved": self.recipe.drift * frame.number, "motion": motion}
+        motion = [step * frame.moment for step in sample["motion"]]
+        ways = {"moved": self.recipe.drift * frame.moment, "motion": motion}
         return {"samples": [{**of_frame(sample, frame.number), **ways}]}
 
     def _settle(self, candidates: Sequence[Item], variant: int) -> tuple[Record, Item]:

@@ -1,17 +1,20 @@
 """The pictures of a run, with the files of their distances."""
 
+import math
 import os
 import re
+from bisect import bisect
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 from uwaug.files.labels import aliases
-from uwaug.files.pictures import ENDINGS, holds_picture
+from uwaug.files.paths import below, matched, time_of
+from uwaug.files.pictures import ENDINGS, MAP_ENDINGS, holds_picture
 from uwaug.files.record import is_written, places_of
 
-_MAP_ENDINGS = tuple(end for end in ENDINGS if end not in (".jpg", ".jpeg"))
 _PICTURE_ENDINGS = tuple(end for end in ENDINGS if end != ".npy")
 
 _UNREAD = {
@@ -28,6 +31,7 @@ _UNREAD = {
 }
 """Cures for pictures that are neither read nor written, with the ends of their names."""
 
+_MAX_DELAY_S = 0.02  # between a picture and its map, as in TUM's own tool
 _STEM = re.compile(r"\{stem(?::([^=}]*)=([^}]*))?\}")
 
 
@@ -57,10 +61,11 @@ def find_items(
     Args:
         pictures: a picture; or a folder of PNG, JPEG, TIFF and EXR files, searched with its
             subfolders. Pictures that a run has written are left out.
-        distance: a file for all pictures; a folder with files of the pictures' names; or a pattern
-            with {stem}, the name of a picture without its end. "{stem}_depth.png" names files
-            beside each picture, "depth/{stem}_z.png" files in a folder, and {stem:rgb=depth}
-            replaces a part of the name. None: no files.
+        distance: a file for all pictures; a folder with files of the pictures' names, or of times
+            within 20 ms of theirs; a .txt file with a picture and its map in each line, such as
+            TUM's associations; or a pattern with {stem}, the name of a picture without its end.
+            "{stem}_depth.png" names files beside each picture, "depth/{stem}_z.png" files in a
+            folder, and {stem:rgb=depth} replaces a part of the name. None: no files.
         exclude: folders whose files are no pictures, such as those of the run and of its labels.
 
     Returns:
@@ -78,11 +83,17 @@ def find_items(
         folder, paths = source.parent, [source]
     else:
         folder, paths = source, sorted(_inside(source, [*exclude, distance], _PICTURE_ENDINGS))
-    items = []
+    items, times_in = [], cache(_times_in)
+    place = Path(distance or ".")
+    listed = _listed(place, paths) if place.suffix.lower() == ".txt" else {}
     for path in paths:
         name = path.relative_to(folder).as_posix()
+        file = listed[path] if path in listed else _map(distance, path, name)
+        if distance and place.is_dir() and file and not file.is_file():
+            delay, nearest = _nearest(file, times_in(file.parent))
+            file = nearest if delay <= _MAX_DELAY_S and nearest.parent != path.parent else file
         shown = os.fsencode(name).decode(errors="backslashreplace")
-        items.append(Item(shown, path, _map(distance, path, name)))
+        items.append(Item(shown, path, file))
     maps = set()
     for item in items:  # an EXR may hold its distances, too
         if item.distance != item.picture or item.picture.suffix.lower() != ".exr":
@@ -96,10 +107,33 @@ def find_items(
         unread = left_out(source, distance, exclude=exclude)
         got = f"{', '.join(_PICTURE_ENDINGS)}{unread and f'; there are {unread}'}"
         raise ValueError(f"no pictures in {pictures}: expected {got}")
-    if distance is not None and not any(item.distance.is_file() for item in items if item.distance):
-        expected = f"such as {items[0].distance}, ending in {', '.join(_MAP_ENDINGS)}"
+    files = [item.distance for item in items if item.distance is not None]
+    if files and not any(map(Path.is_file, files)):
+        expected = f"such as {files[0]}, ending in {', '.join(MAP_ENDINGS)}; {there(files[0])}"
         raise ValueError(f"distance: {distance} has no map for any picture: expected {expected}")
     return items
+
+
+def delay_of(items: Iterable[Item]) -> str:
+    """A sentence on maps that are of another time than their pictures; "" without any."""
+    pairs = [(time_of(i.picture.name), time_of(i.distance.name)) for i in items if i.distance]
+    delays = [abs(time - other) for time, other in pairs if time and other and time != other]
+    got = f"{len(delays)} pictures have the maps of the nearest times"
+    return f"{got}, {1000 * max(delays):.0f} ms away at most" if delays else ""
+
+
+def there(path: Path) -> str:
+    """What lies where a map is missing, in words."""
+    if path.parent.is_file():
+        return f"no line of {path.parent} has it and a map"
+    ends = Counter(file.suffix for file in path.parent.glob("*.*") if file.is_file())
+    if not ends:
+        return f"there are no files in {path.parent}"
+    delay, nearest = _nearest(path, _times_in(path.parent))
+    if delay < math.inf:
+        return f"found {nearest}, {1000 * delay:.0f} ms away"
+    ((end, count),) = ends.most_common(1)
+    return f"found {count} files ending in {end}"
 
 
 def left_out(
@@ -145,6 +179,35 @@ def _files(folder: Path, excluded: frozenset[str]) -> Iterator[Path]:
             yield from _files(path, excluded)
 
 
+def _times_in(folder: Path) -> list[tuple[float, Path]]:
+    """Maps in a folder by the times that their names say, in order."""
+    files = [file for file in folder.glob("*.*") if file.suffix.lower() in MAP_ENDINGS]
+    return sorted((time, file) for file in files if (time := time_of(file.name)) is not None)
+
+
+def _nearest(path: Path, maps: Sequence[tuple[float, Path]]) -> tuple[float, Path]:
+    """The map whose time is nearest to that of a missing one, and how far away it is, s."""
+    if (time := time_of(path.name)) is None:
+        return math.inf, path
+    place = bisect(maps, (time, path))
+    near = maps[max(0, place - 1) : place + 1]
+    return min(((abs(other - time), file) for other, file in near), default=(math.inf, path))
+
+
+def _listed(file: Path, pictures: Sequence[Path]) -> dict[Path, Path]:
+    """The maps of pictures in a list, of which a line names both, in any order."""
+    pairs = []
+    for line in file.read_text(encoding="utf-8-sig").splitlines():
+        words = [
+            w for w in re.split(r"[\s,;]+", line) if w.lower().endswith((*ENDINGS, *MAP_ENDINGS))
+        ]
+        pairs += [words, words[::-1]] if len(words) == 2 else []
+    numbers = matched([path for path, _ in pairs], pictures)
+    paths = {picture: pairs[first][1] for picture, (first, *_) in numbers.items()}
+    maps = {p: below(file.parent, path) or file.parent / path for p, path in paths.items()}
+    return {picture: file / picture.name for picture in pictures} | maps
+
+
 def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
     """File of the distances of a picture, by `distance` of `find_items`."""
     if distance is None or Path(distance).is_file():
@@ -154,12 +217,12 @@ def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
     if not os.path.dirname(pattern):
         stems, folder = [path.stem], path.parent
     bases = [folder / _filled(pattern, stem) for stem in stems]
-    paths = [base.with_name(base.name + end) for base in bases for end in ("", *_MAP_ENDINGS)]
+    paths = [base.with_name(base.name + end) for base in bases for end in ("", *MAP_ENDINGS)]
     # an EXR may be its own map; any other picture matches where the part to replace is not there
     is_map = any(new and new in stems[0] for _, new in _STEM.findall(pattern))
     picture = None if is_map or path.suffix.lower() == ".exr" else os.path.realpath(path)
     maps = (file for file in filter(Path.is_file, paths) if os.path.realpath(file) != picture)
-    return next(maps, bases[0].with_suffix(""))
+    return next(maps, bases[0].with_suffix("") if bases[0].suffix in MAP_ENDINGS else bases[0])
 
 
 def _filled(pattern: str, stem: str) -> str:

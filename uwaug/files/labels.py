@@ -6,13 +6,13 @@ formats. This file loads neither NumPy nor PyTorch, as command lines ask formats
 """
 
 import os
-import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 from uwaug._support.atomic import written_whole
+from uwaug.files.paths import PICTURES
 from uwaug.files.record import digest
 
 if TYPE_CHECKING:
@@ -30,11 +30,6 @@ of a VOC file counted from 1, a value of a mask.
 Entry = dict[str, Any]
 """An object of JSON or YAML."""
 
-PICTURES = ("images", "JPEGImages")
-"""Folders of pictures, beside which data sets have folders of labels or distances."""
-
-# names of folders for a split
-_SPLIT = re.compile(r"(?:obj_)?(train|val|test)(?:ing|id|idation)?(?:_?(?:data|set))?[\d_]*")
 _SAMPLE_FILES = 16  # files of labels by which a format is recognised
 
 
@@ -208,12 +203,6 @@ def aliases(name: str, *folders: str) -> list[str]:
         for middle in ([], *([folder] for folder in folders)):
             paths.append("/".join([*parts[:last], *middle, *parts[last + 1 :]]))
     return paths
-
-
-def split_of(folders: Iterable[str]) -> str | None:
-    """The split, "train", "val" or "test", that the first of the folders is named after, if any."""
-    words = (folder.lower() for folder in folders)
-    return next((match[1] for match in map(_SPLIT.fullmatch, words) if match), None)
 
 
 def require_size(file: Path, stated: "Size", size: "Size") -> None:

@@ -1,6 +1,8 @@
 """Pictures and distance maps in files. The end of a file's name says its format."""
 
 import io
+import math
+import re
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -19,11 +21,15 @@ from uwaug._support.types import ColorSpace
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 
 ENDINGS = (".npy", ".exr", ".tif", ".tiff", ".png", ".jpg", ".jpeg")
-"""Ends of the names of pictures and, but for JPEG, of distance maps."""
+"""Ends of the names of pictures."""
+
+MAP_ENDINGS = (".npy", ".npz", ".exr", ".pfm", ".tif", ".tiff", ".png")
+"""Ends of the names of distance maps."""
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Units of distance, m."""
 
+_PFM = re.compile(rb"(P[Ff])\s+(\d+)\s+(\d+)\s+(\S+)(?:\r\n|\s)")  # colour or grey, size, scale
 _BIT_DEPTH = 24  # place in a PNG of the byte with the number of bits of a channel
 _ORIENTATION_CHUNKS = (b"eXIf", b"Raw profile type", b"XML:com.adobe.xmp")  # of a PNG
 _PROFILE_TAG = 34675  # of TIFF
@@ -84,8 +90,9 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     """Read a map of distances.
 
     Args:
-        path: a .npy (HxW), .exr (one channel, or one called Z or depth), TIFF or PNG file. Axes of
-            length 1 count as none, and equal channels as one.
+        path: a .npy (HxW), .npz (one array, or one called Z, depth or distance), .exr (one channel,
+            or one called Z or depth), PFM, TIFF or PNG file. Axes of length 1 count as none, and
+            equal channels as one. The scale in a PFM tells the order of its bytes alone.
         unit: unit of the numbers in the file: "m", "cm", "mm", or the metres that 1 stands for.
             None: they are relative or inverse; unsigned whole numbers of 8 and 16 bits then become
             shares of the largest of their type.
@@ -276,16 +283,16 @@ def write_picture(
                 Image.fromarray(values).save(file, "JPEG", **jpeg)
 
 
-def _ending(path: Path) -> str:
+def _ending(path: Path, endings: tuple[str, ...] = ENDINGS) -> str:
     end = path.suffix.lower()
-    if end not in ENDINGS:
-        raise ValueError(f"{path}: expected a file that ends in {', '.join(ENDINGS)}")
+    if end not in endings:
+        raise ValueError(f"{path}: expected a file that ends in {', '.join(endings)}")
     return end
 
 
 def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
     """Numbers of a file (HxW or HxWxC), without an opaque alpha."""
-    end = _ending(path)
+    end = _ending(path, ENDINGS if channels == "RGB" else (*MAP_ENDINGS, ".jpg", ".jpeg"))
     require_regular(path)
     try:
         if end == ".npy":
@@ -293,6 +300,8 @@ def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
             values = np.array(np.load(path, mmap_mode="r", allow_pickle=False))
         elif end == ".exr":
             values = _of_exr(path, channels)
+        elif end in (".npz", ".pfm"):
+            values = _of_npz(path) if end == ".npz" else _of_pfm(path)
         else:
             values = _of_tiff(path) if end in (".tif", ".tiff") else _of_pillow(path)
     except (ImportError, MemoryError):
@@ -314,6 +323,25 @@ def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
     if values.ndim == 3 and values.shape[-1] in (2, 4) and (values[..., -1] == white).all():
         values = values[..., :-1]
     return values[..., 0] if values.ndim == 3 and values.shape[-1] == 1 else values
+
+
+def _of_npz(path: Path) -> NDArray[Any]:
+    with np.load(path, allow_pickle=False) as arrays:
+        names = [n for n in arrays if len(arrays) == 1 or n.lower() in ("z", "depth", "distance")]
+        if len(names) != 1:
+            raise ValueError(f"expected one array called depth, got {', '.join(arrays)}")
+        return np.asarray(arrays[names[0]])
+
+
+def _of_pfm(path: Path) -> NDArray[Any]:
+    data = path.read_bytes()
+    header = _PFM.match(data)
+    if header is None:
+        raise ValueError("has no header of a PFM")
+    channels, order = 3 if header[1] == b"PF" else 1, "<" if float(header[4]) < 0 else ">"
+    shape = int(header[3]), int(header[2]), channels
+    values = np.frombuffer(data, f"{order}f4", math.prod(shape), header.end())
+    return values.reshape(shape)[::-1]  # rows from the bottom
 
 
 def _of_pillow(path: Path) -> NDArray[Any]:

@@ -14,8 +14,8 @@ from uwaug._support.threads import one_thread
 from uwaug.distance.doubts import REVERSED, doubts, evidence
 from uwaug.distance.sources import Inverse, Metres, Relative
 from uwaug.distance.unknown import NO_RANGE, in_words, of_metres, of_shares
-from uwaug.files.films import frames_of
-from uwaug.files.items import Item, find_items
+from uwaug.files.films import frames_of, rigs_of
+from uwaug.files.items import Item, delay_of, find_items
 from uwaug.files.pictures import read_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import reason_of
@@ -41,11 +41,14 @@ def prepare(
         The recipe to run, which draws waters like those of the references; and sentences to tell:
         doubts about the maps, see `uwaug.distance.doubts`, and the nearness of the waters.
     """
+    sentences = [*filter(None, [delay_of(items)])]
     if recipe.sequence:  # the frames of a film are one witness, and in one water
-        items = list(dict.fromkeys(film.candidates[0] for film in frames_of(items).values()))
+        frames = frames_of(items, recipe.rig)
+        items = list(dict.fromkeys(frame.candidates[0] for frame in frames.values()))
+        sentences += filter(None, [rigs_of(frames)])
     samples = _samples(recipe, items[:: -(-len(items) // _SAMPLE_COUNT) or 1])
     reasons = [sample.reason for sample in samples if sample.reason]
-    sentences = _doubts(recipe, samples)
+    sentences += _doubts(recipe, samples)
     if recipe.sequence and isinstance(recipe.transform.distance, (Relative, Inverse)):
         sentences.append(
             "each frame's map is stretched from near to far on its own: a film pumps where things "

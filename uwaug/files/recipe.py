@@ -11,7 +11,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.codec import plain
 from uwaug.distance.sources import Metres
-from uwaug.files.items import Item
+from uwaug.files.items import Item, there
 from uwaug.files.pictures import metres_of, read_distance, read_picture, write_picture
 from uwaug.formation.colour import linear_to_srgb
 from uwaug.optics.point_spread import FOCAL_LENGTH
@@ -38,6 +38,10 @@ class Recipe:
             all labels.
         sequence: True if the pictures of a folder are frames of one film, in the order of their
             names: one draw for all, settled on one of them (see `RandomUnderwater.for_clip`).
+        rig: folders that are cameras of one rig and share a film. "auto": folders whose names
+            differ as those of cameras do (left and right, cam0 and cam1, image_2 and image_3) and
+            whose frames have the same names, or times that overlap; "none": no folders; or their
+            names with commas between.
         drift: drift of a sequence's field and snow, m a frame; .004 is .1 m/s at 25 frames a
             second.
         motion: motion of its camera to the right, down and forward, m a frame; or, as "12px", to
@@ -58,6 +62,7 @@ class Recipe:
     labels: str | None = None
     min_contrast: float | None = None
     sequence: bool = False
+    rig: str = "auto"
     drift: float = 0.004
     motion: tuple[float, float, float] | str = (0.0, 0.0, 0.0)
     quality: float = 95
@@ -73,6 +78,8 @@ class Recipe:
             checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
         if self.min_contrast is not None and self.labels is None:
             raise ValueError("min_contrast (--min-contrast) is of labels, of which none are given")
+        if self.rig != "auto" and not self.sequence:
+            raise ValueError("rig (--rig) is of films, which sequence=True (--sequence) asks for")
         checks.within("drift", self.drift)
         if isinstance(self.motion, str):
             self.motion_before(1.0, 1)
@@ -136,4 +143,8 @@ class Recipe:
     def read_map(self, item: Item) -> Tensor | None:
         """The map (1xHxW) of an item, where it has one."""
         unit = self.unit if isinstance(self.transform.distance, Metres) else None
-        return None if item.distance is None else read_distance(item.distance, unit)
+        if item.distance is None:
+            return None
+        if not item.distance.exists():
+            raise ValueError(f"{item.distance} is not there; {there(item.distance)}")
+        return read_distance(item.distance, unit)

@@ -179,7 +179,8 @@ class _Underwater(Work):
             sources["labels"] = job.labels.digest(job.item.name)
         if job.frame is not None:
             _, settled_on = self._films.settled(job.frame, job.variant)
-            sources["frame"] = [job.frame.candidates[0].name, job.frame.number, settled_on]
+            number, moment, candidates = job.frame
+            sources["frame"] = [candidates[0].name, number, moment, settled_on]
         return sources
 
     def make(self, job: Job) -> tuple[Tensor, dict[str, Any]]:
@@ -281,7 +282,7 @@ def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
 
 def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:
     """A job for each variant of each picture."""
-    frames = frames_of(items) if recipe.sequence else {}
+    frames = frames_of(items, recipe.rig) if recipe.sequence else {}
     for item in items:
         place = item.name if labels is None else labels.place(item.name)
         labels_of_item = None if labels is None else labels.only(item.name)

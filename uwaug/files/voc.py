@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from uwaug.files.labels import Folder, Key, require_size, split_of, write_labels
+from uwaug.files.labels import Folder, Key, require_size, write_labels
+from uwaug.files.paths import split_of
 
 if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size

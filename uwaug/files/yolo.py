@@ -1,14 +1,16 @@
 """Labels of YOLO: a text file for each picture, a data.yaml for all."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from uwaug.files.labels import Entry, Folder, Key, split_of, write_labels
+from uwaug.files.labels import Entry, Folder, Key, Labels, write_labels
+from uwaug.files.paths import PICTURES, below, matched, parts_of, split_of
 
 if TYPE_CHECKING:
+    from uwaug.files.items import Item
     from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
@@ -29,14 +31,21 @@ class Yolo(Folder):
     Attributes:
         description: content of the data.yaml.
         described_by: another .yaml that takes its place.
+        splits: splits of each picture that the description names for it.
     """
 
     description: Entry = field(default_factory=dict)
     described_by: Path | None = None
+    splits: Mapping[str, list[str]] = field(default_factory=dict)
 
     reads = "a folder of YOLO's .txt"
     end = ".txt"
     shared = ("data.yaml", "train.txt", "val.txt", "test.txt")
+
+    @classmethod
+    def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
+        labels = super().opened(path, items)
+        return labels._with_splits(items) if isinstance(labels, Yolo) else labels
 
     @staticmethod
     def require(file: Path) -> None:
@@ -113,16 +122,49 @@ class Yolo(Folder):
         rest = (" ".join(words) for number, words in lines.items() if number not in dropped)
         return "".join(f"{line}\n" for line in rest).encode()
 
-    def _places(self, split: str) -> list[str]:
-        """Folders and files that data.yaml names for a split, itself or in a separate list."""
+    def _places(self, split: str) -> tuple[list[str], list[str]]:
+        """Lines of the lists that data.yaml names for a split, and folders that it names."""
         stated = self.description.get(split) or []
-        places = []
-        for place in [stated] if isinstance(stated, str) else stated:
-            folders = (self.path, self.path.parent, self.path.parent.parent)
-            lists = [folder / str(place) for folder in folders if str(place).endswith(".txt")]
-            lines = next((_lines(file) for file in lists if file.is_file()), [str(place)])
-            places += [line.replace("\\", "/").strip("./ ") for line in lines if line.strip()]
-        return places
+        lines, folders = [], []
+        for place in map(str, [stated] if isinstance(stated, str) else stated):
+            above = (self.path, self.path.parent, self.path.parent.parent)
+            files = filter(None, (below(folder, place) for folder in above))
+            if place.endswith(".txt"):
+                lines += next((_lines(file) for file in files), [place])
+            else:
+                folders.append(place)
+        return [line.strip() for line in lines if line.strip()], folders
+
+    def _with_splits(self, items: Sequence["Item"]) -> Self:
+        """The labels with the splits that the description names. Refuses a list without a line of
+        any picture, where pictures are of no split: all would be in train, and val the same.
+        """
+        places = {split: self._places(split) for split in ("train", "val", "test")}
+        pairs = [(split, line) for split, (lines, _) in places.items() for line in lines]
+        numbers = matched([line for _, line in pairs], [item.picture for item in items])
+        paths = {item.name: f"{item.picture.absolute().as_posix()}/" for item in items}
+        text, ends = "\n".join(paths.values()), []
+        for split, (_, folders) in places.items():
+            for parts in map(parts_of, folders):
+                wholes = [
+                    parts[i:] for i in range(len(parts)) if not i or {*parts[i:]} - {*PICTURES}
+                ]
+                ends += [(split, e) for w in wholes if (e := f"/{'/'.join(w)}/") in text][:1]
+        splits = {}
+        for name, picture, _ in items:
+            # the inner folder counts, as a data set may lie in a folder called train
+            starts = [(paths[name].rfind(end), split) for split, end in ends if end in paths[name]]
+            inner = [split for start, split in starts if start == max(starts)[0]]
+            splits[name] = [pairs[number][0] for number in numbers.get(picture, ())] or inner
+        rest = [n for n, s in splits.items() if not s and not split_of(self.place(n).split("/"))]
+        for split, (lines, _) in places.items():
+            if lines and rest and not any(split in stated for stated in splits.values()):
+                got = f"{lines[0]}, of the list of {split}, is the end of no picture's path"
+                raise ValueError(f"{self.path}: {got}, such as {paths[rest[0]][:-1]}")
+        return replace(self, splits=splits)
+
+    def only(self, name: str) -> Self:
+        return replace(super().only(name), splits={})
 
     def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
         """Write data.yaml, with the classes of the labels or their number, and a list of pictures
@@ -132,15 +174,10 @@ class Yolo(Folder):
 
         notes = [f"classes are those of {self.described_by}"] if self.described_by else []
         splits, is_described = {"train": "", "val": ""}, False
-        places = {split: self._places(split) for split in ("train", "val", "test")}
         for picture in pictures:
-            path = f"{picture.item.picture.absolute().as_posix()}/"
-            # the inner folder counts, as a data set may lie in a folder called train
-            starts = {s: max((path.rfind(f"/{p}/") for p in places[s]), default=-1) for s in places}
-            last = max(starts.values())
-            stated = [split for split, start in starts.items() if start == last >= 0]
+            stated = self.splits[picture.item.name]
             is_described |= bool(stated)
-            for split in stated or [split_of(picture.place.split("/")[:-1]) or ""]:
+            for split in dict.fromkeys(stated) or [split_of(picture.place.split("/")[:-1]) or ""]:
                 splits[split] = f"{splits.get(split, '')}./{picture.place}\n"
         rest = splits.pop("", "")
         if not is_described:
@@ -148,8 +185,8 @@ class Yolo(Folder):
         elif rest:
             count, first = rest.count("\n"), rest.partition("\n")[0]
             notes.append(f"{count} pictures are of no split, and in no list, such as {first}")
-        described = {split: "" for split in places if places[split]}
-        for split in [split for split in splits | described if not splits.get(split)]:
+        named = ("train", "val", *filter(self.description.get, ["test"]))
+        for split in [split for split in named if not splits.get(split)]:
             splits[split] = splits["train"] if split == "val" else ""  # trainers insist on it
             content = "those of train" if splits[split] else "nothing"
             notes.append(f"no picture is of the split {split}: {split}.txt lists {content}")
@@ -193,4 +230,6 @@ def _read(file: Path) -> Entry:
 
 
 def _lines(file: Path) -> list[str]:
-    return file.read_text(encoding="utf-8-sig").splitlines()
+    data = file.read_bytes()  # PowerShell writes lists in UTF-16
+    is_utf16 = data.startswith((b"\xff\xfe", b"\xfe\xff"))
+    return data.decode("utf-16" if is_utf16 else "utf-8-sig").splitlines()

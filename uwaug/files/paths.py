@@ -1,0 +1,75 @@
+"""Paths and times that files and their names tell, also of other machines."""
+
+import os
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from itertools import takewhile
+from pathlib import Path
+
+PICTURES = ("images", "JPEGImages")
+"""Folders of pictures, beside which data sets have folders of labels or distances."""
+
+# names of folders for a split
+_SPLIT = re.compile(r"(?:obj_)?(train|val|test)(?:ing|id|idation)?(?:_?(?:data|set))?[\d_]*")
+_TIME = re.compile(r"(?<![\d.])(\d+\.\d{3,9}|\d{13}|\d{16}|\d{19})(?!\d)")  # s; ms, µs or ns
+
+
+def split_of(folders: Iterable[str]) -> str | None:
+    """The split, "train", "val" or "test", that the first of the folders is named after, if any."""
+    words = (folder.lower() for folder in folders)
+    return next((match[1] for match in map(_SPLIT.fullmatch, words) if match), None)
+
+
+def time_of(name: str) -> float | None:
+    """The time that a file's name says, s; None without one."""
+    if not (match := _TIME.search(name)):
+        return None
+    return float(match[1]) / ("." in match[1] or 10.0 ** (len(match[1]) - 10))
+
+
+def parts_of(path: str) -> list[str]:
+    """Folders and name of a file, on any system."""
+    return [p for p in path.strip().replace("\\", "/").split("/") if p not in ("", ".", "..")]
+
+
+def below(folder: Path, path: str) -> Path | None:
+    """The file in a folder whose path ends as another does, in as many parts as it can."""
+    parts = parts_of(path)
+    files = (folder.joinpath(*parts[i:]) for i in range(len(parts)))
+    return next(filter(Path.is_file, files), None)
+
+
+def matched(lines: Sequence[str], pictures: Sequence[Path]) -> dict[Path, list[int]]:
+    """The places of the lines that are paths of pictures, also on another machine: the ends are the
+    same, in the name and a folder at least, and not of another split.
+
+    Raises:
+        ValueError: if a line may be two pictures.
+    """
+    named = defaultdict(list)
+    for picture in pictures:
+        parts = Path(os.path.abspath(picture)).parts[::-1]
+        named[parts[0]].append((picture, parts))
+    matches: dict[Path, list[tuple[int, int]]] = defaultdict(list)
+    for place, line in enumerate(lines):
+        parts, lengths = tuple(parts_of(line)[::-1]), {}
+        for picture, others in named.get(parts[0], ()) if parts else ():
+            pairs = zip(parts, others, strict=False)
+            length = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+            splits = {split_of(p[length : length + 1]) for p in (parts, others)} - {None}
+            if length >= min(2, len(parts)) and len(splits) < 2:
+                lengths[picture] = length
+        best = [picture for picture in lengths if lengths[picture] == max(lengths.values())]
+        if len(best) > 1:
+            raise ValueError(f"{line} may be {best[0]} or {best[1]}: give pictures of one folder")
+        for picture in best:
+            matches[picture].append((lengths[picture], place))
+    places = {
+        p: [place for n, place in pairs if n == max(pairs)[0]] for p, pairs in matches.items()
+    }
+    for picture, numbers in places.items():
+        first, *rivals = {tuple(parts_of(lines[place])): lines[place] for place in numbers}.values()
+        if rivals:
+            raise ValueError(f"{picture} may be {first} or {rivals[0]}")
+    return places
