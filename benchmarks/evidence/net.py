@@ -114,12 +114,17 @@ def table(answers: Mapping[str, list[Array]], crops: Crops, reference: str) -> d
     for row in rows.values():
         row["difference"] = row["score"] - rows[reference]["score"]
     for kind, units in (("blocks", crops.blocks), ("films", crops.films)):
-        _, unit, sizes = np.unique(units, return_inverse=True, return_counts=True)
-        picked = np.random.default_rng(0).integers(0, len(sizes), (RESAMPLES, len(sizes)))
-        often = np.stack([np.bincount(row, minlength=len(sizes)) for row in picked])
-        weights = often[:, unit.reshape(-1)].astype(float)
+        weights = resampled_units(units)
         resampled = {name: mean_scores(name, weights) for name in answers}
         for name, row in rows.items():
             apart = resampled[name] - resampled[reference]
             row[kind] = np.nanpercentile(apart, (2.5, 97.5)).tolist()
     return rows
+
+
+def resampled_units(units: Any, count: int = RESAMPLES) -> Array:
+    """How often resamples of whole units have each of their members (count x N)."""
+    _, unit, sizes = np.unique(units, return_inverse=True, return_counts=True)
+    picked = np.random.default_rng(0).integers(0, len(sizes), (count, len(sizes)))
+    often = np.stack([np.bincount(row, minlength=len(sizes)) for row in picked])
+    return often[:, unit.reshape(-1)].astype(float)
