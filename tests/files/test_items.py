@@ -80,7 +80,8 @@ def test_maps_by_a_list(text: str, maps: str, found: dict[str, str]) -> None:
         ("1305031102.175304.png", "m/1305031102.160104.png"),
         ("1305031102.179304.png", "m/1305031102.193437.png"),
         ("1305031102179.jpg", "m/1305031102.193437.png"),
-        ("left-1305031102161104000.jpg", "m/1305031102.160104.png"),
+        ("1305031102161104000.jpg", "m/1305031102.160104.png"),
+        ("left-1305031102161104000.jpg", "m/left-1305031102161104000"),  # more than a time
         ("1305031102.260104.png", "m/1305031102.260104"),  # is too far away
     ],
 )
@@ -99,7 +100,7 @@ def test_maps_of_the_nearest_time(picture: str, found: str) -> None:
         ("m/0.h5 m/1.h5 m/notes.txt", "m", r"m/15.200, ending in .*; found 2 files ending in .h5"),
         ("k/1.png", "m", "there are no files in m"),
         ("m/15.23000.png m/15.11000.png", "m", r"found m/15.23000.png, 30 ms away"),
-        ("m/15.20000.png", "m/{stem}_z", r"m/15.200_z, .*found m/15.20000.png, 0 ms away"),
+        ("m/15.20000.png", "m/{stem}_z", r"m/15.200_z, .*found 1 files ending in .png"),
     ],
 )
 def test_what_is_there_in_place_of_maps_is_said(files: str, maps: str, message: str) -> None:

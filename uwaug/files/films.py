@@ -17,7 +17,7 @@ _CANDIDATES = 9  # largest number of frames of a film that its draw may be settl
 _DARK_MEAN = 0.1  # 0…1; a darker frame, such as a fade, is no measure of a film's exposure
 
 _SIDES = "left|right|cent(?:er|re)|front|rear|back|top|bottom|[lr]"
-_COUNTED = "(?:image|img|im|view|infra|rgb|gopro)[-_ ]?\\d+|cam(?:era)?[-_ ]?(?:\\d+|[a-d])"
+_COUNTED = "(?:image|img|im|view|infra|rgb)[-_ ]?\\d{1,2}|cam(?:era)?[-_ ]?(?:\\d+|[a-d])"
 # what tells the cameras of a rig apart: in names of files, and in names of folders
 _IN_FILES, _IN_FOLDERS = (
     re.compile(rf"(?<![a-z])(?:{words})(?:[-_ ](?:{_SIDES}))*(?![a-z\d])", re.IGNORECASE)

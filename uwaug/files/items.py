@@ -194,16 +194,27 @@ def _nearest(path: Path, maps: Sequence[tuple[float, Path]]) -> tuple[float, Pat
     return min(((abs(other - time), file) for other, file in near), default=(math.inf, path))
 
 
+def _delay(pair: Sequence[str]) -> float:
+    """Time between two files, s; 0 if their names are no times."""
+    times = [time for name in pair if (time := time_of(name)) is not None]
+    return max(times) - min(times) if times else 0.0
+
+
 def _listed(file: Path, pictures: Sequence[Path]) -> dict[Path, Path]:
-    """The maps of pictures in a list, of which a line names both, in any order."""
+    """The maps of pictures in a list, of which a line names both, the map first or last in all."""
     pairs = []
     for line in file.read_text(encoding="utf-8-sig").splitlines():
         words = [
             w for w in re.split(r"[\s,;]+", line) if w.lower().endswith((*ENDINGS, *MAP_ENDINGS))
         ]
-        pairs += [words, words[::-1]] if len(words) == 2 else []
-    numbers = matched([path for path, _ in pairs], pictures)
-    paths = {picture: pairs[first][1] for picture, (first, *_) in numbers.items()}
+        pairs += [words] if len(words) == 2 else []
+    if not (places := matched([first for first, _ in pairs], pictures)):
+        pairs = [words[::-1] for words in pairs]
+        places = matched([first for first, _ in pairs], pictures)
+    paths = {
+        picture: min((pairs[place] for place in of_picture), key=_delay)[1]
+        for picture, of_picture in places.items()
+    }
     maps = {p: below(file.parent, path) or file.parent / path for p, path in paths.items()}
     return {picture: file / picture.name for picture in pictures} | maps
 

@@ -12,7 +12,7 @@ PICTURES = ("images", "JPEGImages")
 
 # names of folders for a split
 _SPLIT = re.compile(r"(?:obj_)?(train|val|test)(?:ing|id|idation)?(?:_?(?:data|set))?[\d_]*")
-_TIME = re.compile(r"(?<![\d.])(\d+\.\d{3,9}|\d{13}|\d{16}|\d{19})(?!\d)")  # s; ms, µs or ns
+_TIME = re.compile(r"(\d+\.\d{3,9}|\d{13}|\d{16}|\d{19})(?:\.[a-zA-Z]\w*)?")  # s; ms, µs or ns
 
 
 def split_of(folders: Iterable[str]) -> str | None:
@@ -22,8 +22,8 @@ def split_of(folders: Iterable[str]) -> str | None:
 
 
 def time_of(name: str) -> float | None:
-    """The time that a file's name says, s; None without one."""
-    if not (match := _TIME.search(name)):
+    """The time that a file's name is, s; None if it is more, or something else."""
+    if not (match := _TIME.fullmatch(os.path.basename(name))):
         return None
     return float(match[1]) / ("." in match[1] or 10.0 ** (len(match[1]) - 10))
 

@@ -20,7 +20,7 @@ from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
 from uwaug.files.pictures import ENDINGS, orientation_of, profile_of, write_picture
-from uwaug.files.recipe import MAP_FORMATS, Recipe
+from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
 from uwaug.files.summary import Summary
@@ -217,10 +217,10 @@ class _Underwater(Work):
         """
         stem = (self.out / "maps" / place).with_suffix("")
         with suppress(OSError, ValueError):
-            if read_record(record_path(self.out / place)).get("truth"):
-                for name in MAPS:
-                    for end in MAP_FORMATS:
-                        stem.with_name(f"{stem.name}_{name}.{end}").unlink(missing_ok=True)
+            record = read_record(record_path(self.out / place))
+            for name in MAPS if record.get("truth") else ():
+                end = record["recipe"]["maps"]
+                stem.with_name(f"{stem.name}_{name}.{end}").unlink(missing_ok=True)
         if truth is not None:
             stem.parent.mkdir(parents=True, exist_ok=True)
             for name in MAPS:

@@ -215,7 +215,7 @@ const smallPictures = () => [...$("waters").children, ...$("severities").childre
   const settings = { ...settingsOf(state), ...(alone ? { water: value, other: "", contrast: kept } : { contrast: +value }) };
   return fillTile(button, "form", { settings }, 200);
 });
-let seed = 0;
+let seed = 0, tries = 0;
 const heldNames = () => DRAWN.filter(name => $(`hold-${name}`).checked || (name === "contrast" && state.nature));
 function use({ contrast, full_well, ...drawn }) {
   Object.assign(state, drawn, contrast === null ? { nature: 1 } : { nature: 0, contrast });
@@ -386,7 +386,7 @@ $("like").addEventListener("click", async () => {
     const [width, height] = [picture.naturalWidth ?? picture.width, picture.naturalHeight ?? picture.height], scale = 128 / Math.min(width, height);
     return pixelsOf(picture, Math.round(width * scale), Math.round(height * scale));
   };
-  const at = scene, message = { small: short($("before")), photograph: short(real.image), settings: settingsOf(state), held: heldNames(), seed: seed++ };
+  const at = scene, message = { small: short($("before")), photograph: short(real.image), settings: settingsOf(state), held: heldNames(), seed: tries++ };
   $("like").disabled = true;
   try {
     const { drawn, away, usual, off } = await ask("like", message, share => say("trying 120 draws", share));
