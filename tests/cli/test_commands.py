@@ -62,6 +62,9 @@ def test_grades_and_maps(folder, run):
     light = (signal + veil) @ np.array(truth["gain"]).T
     assert np.isfinite(light).all()
     assert {*truth["coefficients"]} == {"beta_d", "beta_b", "b_inf", "ambient", "rmse"}
+    Path("pairs/maps/a_veil.npy").unlink()  # it is missed
+    assert run(*line, "pairs", "--severity", "3", "--maps", "npy", "--resume")[0] == 0
+    assert np.array_equal(np.load("pairs/maps/a_veil.npy"), veil)
     assert run(*line, "pairs", "--water", "II", "--force")[0] == 0
     assert not list(Path("pairs/maps").iterdir())  # they were of another water
 

@@ -46,15 +46,21 @@ def test_cameras_of_a_rig_share_a_film(first: str, second: str) -> None:
     assert films(" ".join(names)) == [dict(zip(names, (0, 1, 2, 0, 1, 2), strict=True))]
     # a frame that one of them lacks
     del names[4]
-    assert films(" ".join(names))[0][names[4]] == (1 if "1.1" in names[4] else 2)
+    assert [*films(" ".join(names))[0].values()] == [0, 1, 2, 0, 2]
     folders = len({str(Path(name).parent) for name in names})
     assert len(films(" ".join(names), "none")) == folders
+
+
+def test_a_frame_that_the_first_camera_lacks() -> None:
+    (moments,) = films("left/0.png left/2.png right/0.png right/1.png right/2.png")
+    assert [*moments.values()] == [0, 2, 0, 1, 2]
 
 
 @pytest.mark.parametrize(
     "names",
     [
         "bear/0.jpg swan/0.jpg",
+        "IMG_0001/0.jpg IMG_0002/0.jpg",
         "clip_1/0.jpg clip_2/0.jpg",
         "a/left/0.jpg b/right/0.jpg",
         "left/0.png left/1.png right/7.png right/8.png",

@@ -1,9 +1,10 @@
 """Frames of films: one draw for all, settled on one of them."""
 
+import itertools
+import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from itertools import count
 from typing import Any, NamedTuple
 
 from uwaug._support import checks
@@ -43,7 +44,7 @@ class Frame(NamedTuple):
 def frames_of(items: Sequence[Item], rig: str = "auto") -> dict[Item, Frame]:
     """The frame of each picture, by `rig` of `Recipe`."""
     folders: dict[str, list[Item]] = {}
-    for item in sorted(items, key=_as_counted):
+    for item in sorted(items, key=lambda item: _counted(item.name)):
         folders.setdefault(os.path.dirname(item.name), []).append(item)
     folder_names = () if rig in ("auto", "none") else rig.split(",")
     if absent := {*folder_names} - {part for folder in folders for part in folder.split("/")}:
@@ -62,11 +63,10 @@ def frames_of(items: Sequence[Item], rig: str = "auto") -> dict[Item, Frame]:
         candidates = tuple(
             dict.fromkeys(film[int(share * len(film))] for film in cameras for share in shares)
         )
-        moments = {name: place for place, name in enumerate(dict.fromkeys(_moments(cameras[0])))}
-        numbers = count()
-        for camera in cameras:
-            for place, (item, name) in enumerate(zip(camera, _moments(camera), strict=True)):
-                frames[item] = Frame(next(numbers), moments.get(name, place), candidates)
+        numbers = itertools.count()
+        for camera, moments in zip(cameras, _moments_of(cameras), strict=True):
+            for item, moment in zip(camera, moments, strict=True):
+                frames[item] = Frame(next(numbers), moment, candidates)
     return frames
 
 
@@ -89,7 +89,20 @@ def _without_camera(path: str, camera: re.Pattern[str]) -> str:
     return camera.sub("*", re.sub(r"(?<=[a-z\d])(?=[A-Z])", " ", path))
 
 
-def _moments(film: Sequence[Item]) -> list[str]:
+def _moments_of(cameras: Sequence[Sequence[Item]]) -> list[list[int]]:
+    """The moment of each frame of each camera, which may have lost some: by the nearest time of the
+    first camera if names are times, else by the names of all.
+    """
+    times = [[time_of(item.name) or math.nan for item in camera] for camera in cameras]
+    if not any(map(math.isnan, itertools.chain(*times))):
+        clock = sorted(times[0])
+        return [[min(range(len(clock)), key=lambda i: abs(clock[i] - t)) for t in c] for c in times]
+    names = [_frame_names(camera) for camera in cameras]
+    places = {name: i for i, name in enumerate(sorted({*itertools.chain(*names)}, key=_counted))}
+    return [[places[name] for name in camera] for camera in names]
+
+
+def _frame_names(film: Sequence[Item]) -> list[str]:
     """Names of frames that all cameras of a rig share."""
     stems = (os.path.splitext(os.path.basename(item.name))[0] for item in film)
     return [_without_camera(stem, _IN_FILES) for stem in stems]
@@ -97,16 +110,16 @@ def _moments(film: Sequence[Item]) -> list[str]:
 
 def _are_at_one_time(film: Sequence[Item], other: Sequence[Item]) -> bool:
     """True if half of the names of frames are the same, or the times overlap that they say."""
-    names = {*_moments(film)} & {*_moments(other)}
+    names = {*_frame_names(film)} & {*_frame_names(other)}
     if 2 * len(names) >= min(len(film), len(other)):
         return True
     times = [[t for item in f if (t := time_of(item.name)) is not None] for f in (film, other)]
     return all(times) and max(map(min, times)) <= min(map(max, times))
 
 
-def _as_counted(item: Item) -> list[Any]:
+def _counted(name: str) -> list[Any]:
     """A key that sorts names by the numbers in them: 2.png before 10.png."""
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", item.name)]
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
 
 
 class Films:

@@ -22,7 +22,6 @@ from uwaug.files.pictures import read_picture
 from uwaug.files.pool import on_processes
 from uwaug.files.record import (
     digest,
-    is_written,
     places_of,
     reason_of,
     record_of,
@@ -81,6 +80,12 @@ class Work:
         """Write the result of an item, whole or not at all."""
         raise NotImplementedError
 
+    def beside(self, job: Job, record: dict[str, Any]) -> list[Path]:
+        """Files beside a result that a run has written with its record."""
+        if job.labels is None or record.get("labels") is None:
+            return []
+        return job.labels.files(job.item.name, job.place, self.out)
+
     def read(self, path: Path) -> Tensor:
         """Read a result as a picture (3xHxW), for the sheet."""
         return read_picture(path)
@@ -105,10 +110,10 @@ class Work:
 
     def _failed(self, job: Job, reason: str) -> Result:
         path = self.out / job.place
-        if self.force and is_written(path):  # an old file would pass for the result
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
-                record_path(path).unlink(missing_ok=True)
+        if self.force and (record := record_of(path)):  # old files would pass for the result
+            for file in (*self.beside(job, record), path, record_path(path)):
+                with suppress(OSError):
+                    file.unlink(missing_ok=True)
         return Result(job.item, job.variant, job.place, "failed", reason=reason)
 
     def _done(self, job: Job) -> Result:
@@ -116,9 +121,9 @@ class Work:
         before = self._before(job)
         if self.resume and before and path.exists():
             changes = [name for name, value in sources.items() if before.get(name) != value]
-            if not changes:
+            if not changes and all(map(Path.exists, self.beside(job, before))):
                 return _of_record(job, "skipped", before)
-            if not self.force:
+            if changes and not self.force:
                 got = f"{path} was made with another {' and '.join(changes)}"
                 raise FileExistsError(f"{got}: choose another folder, or {_FORCE}")
         result, entries = self.make(job)

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from os.path import splitext
 from pathlib import Path
@@ -21,7 +20,7 @@ from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
 from uwaug.files.pictures import ENDINGS, orientation_of, profile_of, write_picture
 from uwaug.files.recipe import Recipe
-from uwaug.files.record import digest, read_record, record_path
+from uwaug.files.record import digest, read_record, record_of, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
 from uwaug.files.summary import Summary
 from uwaug.transforms.random_underwater import RandomUnderwater
@@ -215,19 +214,24 @@ class _Underwater(Work):
         """Write the maps of the truth of a picture, if there is one, in place of those of an
         earlier run.
         """
-        stem = (self.out / "maps" / place).with_suffix("")
-        with suppress(OSError, ValueError):
-            record = read_record(record_path(self.out / place))
-            for name in MAPS if record.get("truth") else ():
-                end = record["recipe"]["maps"]
-                stem.with_name(f"{stem.name}_{name}.{end}").unlink(missing_ok=True)
-        if truth is not None:
-            stem.parent.mkdir(parents=True, exist_ok=True)
-            for name in MAPS:
-                path = stem.with_name(f"{stem.name}_{name}.{self.recipe.maps}")
+        record = record_of(self.out / place) or {}
+        for path in self._maps(place, record["recipe"]["maps"]) if record.get("truth") else ():
+            path.unlink(missing_ok=True)
+        for name, path in zip(MAPS, self._maps(place, self.recipe.maps), strict=True):
+            if truth is not None:
                 if path.exists():
                     raise FileExistsError(f"{path} is a file that no run has written")
+                path.parent.mkdir(parents=True, exist_ok=True)
                 write_picture(path, getattr(truth, name).float(), color_space="linear")
+
+    def _maps(self, place: str, end: str | None) -> list[Path]:
+        """Files of the maps of a result."""
+        stem = (self.out / "maps" / place).with_suffix("")
+        return [stem.with_name(f"{stem.name}_{name}.{end}") for name in MAPS]
+
+    def beside(self, job: Job, record: dict[str, Any]) -> list[Path]:
+        maps = self._maps(job.place, record["recipe"]["maps"]) if record.get("truth") else []
+        return [*super().beside(job, record), *maps]
 
     def write(self, path: Path, result: Tensor, item: Item) -> None:
         self.recipe.write(path, result, item.picture)
