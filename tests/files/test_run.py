@@ -527,6 +527,23 @@ def test_a_picture_that_fails_leaves_nothing_of_before() -> None:
     assert content("out").keys() == {"index.csv"}
 
 
+def test_labels_that_are_gone_are_missed_and_those_of_a_failure_go() -> None:
+    for number in range(4):
+        Path(f"labels/{number}.txt").parent.mkdir(exist_ok=True)
+        Path(f"labels/{number}.txt").write_text("0 .5 .5 .4 .4\n")
+    recipe, label = Recipe(WATER, labels="labels"), Path("out/labels/1.txt")
+    degrade(recipe, items(), "out")
+    label.unlink()
+    again = degrade(recipe, items(), "out", resume=True)
+    assert statuses(again) == ["skipped", "written", "skipped", "skipped"]
+    save("depth/1.npy", metres(9, 9))
+    assert statuses(degrade(recipe, items(), "out", force=True)).count("failed") == 1
+    assert not label.exists()
+    save("depth/1.npy", metres(H, W))
+    assert degrade(recipe, items(), "out", force=True).failures == []
+    assert label.exists()
+
+
 def test_one_bad_picture_does_not_stop_the_rest() -> None:
     Path("all/1.png").write_bytes(b"")
     Path("depth/2.npy").unlink()
