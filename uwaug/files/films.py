@@ -7,6 +7,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from uwaug._support import checks
 from uwaug.files.items import Item
 from uwaug.files.paths import time_of
@@ -95,8 +97,9 @@ def _moments_of(cameras: Sequence[Sequence[Item]]) -> list[list[int]]:
     """
     times = [[time_of(item.name) or math.nan for item in camera] for camera in cameras]
     if not any(map(math.isnan, itertools.chain(*times))):
-        clock = sorted(times[0])
-        return [[min(range(len(clock)), key=lambda i: abs(clock[i] - t)) for t in c] for c in times]
+        clock = np.sort(times[0])
+        between = (clock[1:] + clock[:-1]) / 2
+        return [np.searchsorted(between, camera).tolist() for camera in times]
     names = [_frame_names(camera) for camera in cameras]
     places = {name: i for i, name in enumerate(sorted({*itertools.chain(*names)}, key=_counted))}
     return [[places[name] for name in camera] for camera in names]

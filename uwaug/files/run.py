@@ -80,11 +80,14 @@ class Work:
         """Write the result of an item, whole or not at all."""
         raise NotImplementedError
 
-    def beside(self, job: Job, record: dict[str, Any]) -> list[Path]:
-        """Files beside a result that a run has written with its record."""
-        if job.labels is None or record.get("labels") is None:
-            return []
-        return job.labels.files(job.item.name, job.place, self.out)
+    def files(self, job: Job) -> list[Path]:
+        """Files that are written beside a result and its record."""
+        return [] if job.labels is None else job.labels.files(job.item.name, job.place, self.out)
+
+    def vouched(self, job: Job, record: dict[str, Any]) -> list[Path]:
+        """Files beside a result of which its record says that a run has written them."""
+        has_labels = job.labels is not None and record.get("labels") is not None
+        return Work.files(self, job) if has_labels else []
 
     def read(self, path: Path) -> Tensor:
         """Read a result as a picture (3xHxW), for the sheet."""
@@ -111,7 +114,7 @@ class Work:
     def _failed(self, job: Job, reason: str) -> Result:
         path = self.out / job.place
         if self.force and (record := record_of(path)):  # old files would pass for the result
-            for file in (*self.beside(job, record), path, record_path(path)):
+            for file in (*self.vouched(job, record), path, record_path(path)):
                 with suppress(OSError):
                     file.unlink(missing_ok=True)
         return Result(job.item, job.variant, job.place, "failed", reason=reason)
@@ -121,7 +124,7 @@ class Work:
         before = self._before(job)
         if self.resume and before and path.exists():
             changes = [name for name, value in sources.items() if before.get(name) != value]
-            if not changes and all(map(Path.exists, self.beside(job, before))):
+            if not changes and all(map(Path.exists, self.vouched(job, before))):
                 return _of_record(job, "skipped", before)
             if changes and not self.force:
                 got = f"{path} was made with another {' and '.join(changes)}"
@@ -131,7 +134,8 @@ class Work:
         # the result goes first and comes last: its labels are there wherever it is, and its record
         # says of both that they are a run's
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.unlink(missing_ok=True)
+        for file in (path, *self.vouched(job, before)):
+            file.unlink(missing_ok=True)
         write_record(record_path(path), record)
         if job.labels is not None:
             dropped = {entry["key"] for entry in record["objects"] if not entry["kept"]}
@@ -146,8 +150,8 @@ class Work:
         path = self.out / job.place
         record = record_of(path) or {}
         files = [] if record else [path, record_path(path)]
-        if job.labels is not None and record.get("labels") is None:
-            files += job.labels.files(job.item.name, job.place, self.out)
+        vouched = self.vouched(job, record)
+        files += [file for file in self.files(job) if file not in vouched]
         for file in filter(os.path.lexists, files):
             raise FileExistsError(f"{file} {_OWN}")
         return record

@@ -20,7 +20,7 @@ from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
 from uwaug.files.pictures import ENDINGS, orientation_of, profile_of, write_picture
 from uwaug.files.recipe import Recipe
-from uwaug.files.record import digest, read_record, record_of, record_path
+from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
 from uwaug.files.summary import Summary
 from uwaug.transforms.random_underwater import RandomUnderwater
@@ -86,7 +86,8 @@ def degrade(
     work = _Underwater(recipe, folder, resume=resume, force=force)
     jobs = [Job(items[0], out.name)] if single else list(_jobs(recipe, items, labels))
     summary = run(
-        *(work, jobs),
+        work,
+        jobs,
         workers=workers,
         ray=ray,
         index=not single,
@@ -182,7 +183,7 @@ class _Underwater(Work):
             sources["frame"] = [candidates[0].name, number, moment, settled_on]
         return sources
 
-    def make(self, job: Job) -> tuple[Tensor, dict[str, Any]]:
+    def make(self, job: Job) -> tuple[tuple[Tensor, Truth | None], dict[str, Any]]:
         item, labels = job.item, job.labels
         image, z = self.recipe.read(item)
         transform = self.recipe.transform_of(item.picture)
@@ -194,14 +195,12 @@ class _Underwater(Work):
         step = max(1, min(image.shape[1:]) // _CONTRAST_ROWS) if labels is None else 1
         scenes = transform.scenes(image, z, params)
         degraded, contrast = scenes.formed(), scenes.contrast_map(step)
-        reached, truth = scenes.reached(0), None
-        if self.recipe.maps is not None:
-            truth = scenes.truth()
-        self._write_maps(job.place, truth)
+        reached = scenes.reached(0)
+        truth = None if self.recipe.maps is None else scenes.truth()
         objects = []
         if labels is not None:
             objects = judged(labels, item.name, contrast, self.recipe.min_contrast)
-        return degraded, {
+        return (degraded, truth), {
             "params": params,
             "contrast": round(float(contrast.double().mean()), 4),
             "reached": reached and reached._asdict(),
@@ -210,31 +209,27 @@ class _Underwater(Work):
             "asked": _questions(item, transform, image, z, labels),
         }
 
-    def _write_maps(self, place: str, truth: Truth | None) -> None:
-        """Write the maps of the truth of a picture, if there is one, in place of those of an
-        earlier run.
-        """
-        record = record_of(self.out / place) or {}
-        for path in self._maps(place, record["recipe"]["maps"]) if record.get("truth") else ():
-            path.unlink(missing_ok=True)
-        for name, path in zip(MAPS, self._maps(place, self.recipe.maps), strict=True):
-            if truth is not None:
-                if path.exists():
-                    raise FileExistsError(f"{path} is a file that no run has written")
-                path.parent.mkdir(parents=True, exist_ok=True)
-                write_picture(path, getattr(truth, name).float(), color_space="linear")
+    def write(self, path: Path, result: tuple[Tensor, Truth | None], item: Item) -> None:
+        degraded, truth = result
+        if truth is not None:
+            place = path.relative_to(self.out).as_posix()
+            for name, file in zip(MAPS, self._maps(place, self.recipe.maps), strict=True):
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_picture(file, getattr(truth, name).float(), color_space="linear")
+        self.recipe.write(path, degraded, item.picture)
+
+    def files(self, job: Job) -> list[Path]:
+        maps = [] if self.recipe.maps is None else self._maps(job.place, self.recipe.maps)
+        return [*super().files(job), *maps]
+
+    def vouched(self, job: Job, record: dict[str, Any]) -> list[Path]:
+        maps = self._maps(job.place, record["recipe"]["maps"]) if record.get("truth") else []
+        return [*super().vouched(job, record), *maps]
 
     def _maps(self, place: str, end: str | None) -> list[Path]:
         """Files of the maps of a result."""
         stem = (self.out / "maps" / place).with_suffix("")
         return [stem.with_name(f"{stem.name}_{name}.{end}") for name in MAPS]
-
-    def beside(self, job: Job, record: dict[str, Any]) -> list[Path]:
-        maps = self._maps(job.place, record["recipe"]["maps"]) if record.get("truth") else []
-        return [*super().beside(job, record), *maps]
-
-    def write(self, path: Path, result: Tensor, item: Item) -> None:
-        self.recipe.write(path, result, item.picture)
 
     def caption(self, path: Path) -> str:
         """Median distance and mean contrast of a picture; its water."""

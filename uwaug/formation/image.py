@@ -89,10 +89,7 @@ def form(
         soft = torch.cat([blurred_as_seen(J[i], z[i], medium[i], plan) for i, plan in pairs])
     else:
         if plan is None:
-            brightest = medium if light is None else light.planned(medium)
-            plan = plan_for(
-                z, brightest.brightened(gain.detach()), (z.shape[-2], z.shape[-1]), tolerance
-            )
+            plan = _plan(z, medium, light, gain, tolerance)
         soft = blurred_as_seen(J, z, medium, plan, blur)
     # after the gain: the camera is metered without snow, which changes nothing else in a picture
     T = snowing(T, medium, light, z, metres)
@@ -131,6 +128,15 @@ def _nothing(image: Tensor, z: Tensor) -> Tensor:
     return image.expand(max(len(image), len(z)) if len(image) and len(z) else 0, -1, -1, -1)
 
 
+def _plan(
+    z: Tensor, medium: Medium, light: Light | None, gain: Tensor, tolerance: float
+) -> BlurPlan:
+    """Plan of the blur at distances (Bx1xHxW, m), as light and camera brighten it."""
+    brightest = medium if light is None else light.planned(medium)
+    size = z.shape[-2], z.shape[-1]
+    return plan_for(z, brightest.brightened(gain.detach()), size, tolerance)
+
+
 def blurred_as_seen(
     J: Tensor, z: Tensor, medium: Medium, plan: BlurPlan, blur: Blur | None = None
 ) -> Tensor:
@@ -165,10 +171,7 @@ def terms_of(
     """
     T = medium.curves(z) if light is None else light.curves(medium, z, metres)
     gain = development.gain(J, z, medium, None if light is None else T)
-    brightest = medium if light is None else light.planned(medium)
-    size = z.shape[-2], z.shape[-1]
-    plan = plan_for(z, brightest.brightened(gain.detach()), size, tolerance)
-    soft = blurred_as_seen(J, z, medium, plan)
+    soft = blurred_as_seen(J, z, medium, _plan(z, medium, light, gain, tolerance))
     T = snowing(T, medium, light, z, metres) or T
     return T, medium.parts(z, J, soft, T), gain
 

@@ -291,11 +291,9 @@ class RandomWater(Noun):
             if daylight < DIMMEST:
                 deepest = min(depth, water.depth_of_daylight(DIMMEST))
                 if not isinstance(self.vertical_depth, tuple):
-                    got = (
-                        f"{depth:g} m below the surface {water.name} leaves {daylight:.1g} of light"
-                    )
-                    cure = "metered=False keeps the dark"
-                    odd_scene.warn(f"{got}: the scene is taken at {deepest:.3g} m; {cure}")
+                    got = f"{depth:g} m below the surface {water.name} leaves {daylight:.1g}"
+                    taken = f"the scene is taken at {deepest:.3g} m; metered=False keeps the dark"
+                    odd_scene.warn(f"{got} of light: {taken}")
                 depth, daylight = deepest, DIMMEST
         law = self.point_spread or _calibrated(FOCAL_LENGTH * measured.width)
         surfaces = "color_matrix" in draw, draw.get("color_matrix", 1.0)

@@ -16,11 +16,14 @@ from uwaug.optics.medium import Medium
 _RATES = (1e-3, 30.0)
 """1/m: ends of the rates of water by `Coefficients`."""
 
-_GRID, _ZOOMS, _PIXELS = 17, 4, 4096
+_GRID, _ZOOMS = 17, 4
+"""Rates that are tried at a time, and how often the two about the best are the next ends."""
+
+_PIXELS = 4096
+"""Pixels, about, by which rates are fitted."""
 
 Shape = Callable[[Tensor], Tensor]
 """Function of the optical depth."""
-
 
 MAPS = ("clean", "z", "transmission", "signal", "veil")
 """Maps of a `Truth`."""
@@ -115,9 +118,8 @@ def truth_of(
         day = medium if light is None else medium.brightened(z.new_full((1, 1), light.daylight))
         lens, endless = z.new_tensor([0.0, math.inf])[:, None, None, None, None]
         ambient, level = passed(day.signal(lens), white), day.backscatter(z)
-        b_inf = (
-            day.backscatter(endless) * (veil.mean((-2, -1)) / level.mean((-2, -1)))[..., None, None]
-        )
+        rise = (veil.mean((-2, -1)) / level.mean((-2, -1))).nan_to_num(1.0)  # 0/0 without a veil
+        b_inf = day.backscatter(endless) * rise[..., None, None]
         beta_d = _nearest(z, ambient * J, signal, lambda x: torch.exp(-x))
         beta_b = _nearest(z, b_inf, veil, lambda x: -torch.expm1(-x))
         rebuilt = ambient * J * torch.exp(-beta_d * z) - b_inf * torch.expm1(-beta_b * z)
