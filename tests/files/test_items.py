@@ -94,6 +94,15 @@ def test_maps_of_the_nearest_time(picture: str, found: str) -> None:
     )
 
 
+def test_lists_with_a_picture_twice_and_with_names_alone() -> None:
+    touch(f"d/1305031102.175304.png {TIMES} d/2.png m/1.png m/2.png m/3.png d/3.png")
+    lines = [f"d/1305031102.175304.png {name}" for name in reversed(TIMES.split())]
+    Path("m/list.txt").write_text("\n".join([*lines, "1.png 2.png", "2.png 3.png"]))
+    listed = names("d", "m/list.txt")
+    assert listed["1305031102.175304.png"] == "m/1305031102.160104.png"  # the nearer one
+    assert listed["2.png"] == "m/3.png"  # read in one order
+
+
 @pytest.mark.parametrize(
     "files, maps, message",
     [
