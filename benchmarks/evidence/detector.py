@@ -32,7 +32,7 @@ from torch.nn.functional import affine_grid, grid_sample, interpolate
 
 from benchmarks.evidence.arms import ARMS, DEFAULTS, SHOWN, Arm, tensors
 from benchmarks.evidence.boxes import average_precisions, loss_of, matched
-from benchmarks.evidence.net import resampled_units
+from benchmarks.evidence.net import compared, resampled_units
 from benchmarks.evidence.tasks import Array, Pool, made_up
 from benchmarks.harness import save
 
@@ -63,7 +63,7 @@ and .422, and of swimmers .23, seen once; SGD 0. With boxes of persons alone Ada
 
 
 class Scene(NamedTuple):
-    """A picture in air with what is in it, its longer side of SIDE px."""
+    """A picture in air with what is in it."""
 
     image: Tensor  # 3xHxW, 0…1
     boxes: Tensor  # Nx4: left, top, right, bottom, px
@@ -102,7 +102,7 @@ def made(name: str, shown: list[Array], scenes: list[Scene], maps: list[Tensor])
 
 
 def scenes_of(samples: Sequence[Any]) -> list[Scene]:
-    """Samples of the kit at the size of training."""
+    """Samples of the kit, their longer sides of SIDE px."""
     scenes = []
     for sample in samples:
         scale = SIDE / max(sample.image.shape[:2])
@@ -227,27 +227,14 @@ class Bench(NamedTuple):
         return average_precisions(hits, counts, weights)
 
     def table(self, name: str, answers: dict[str, list[Array]]) -> dict[str, Any]:
-        """Of each arm: mean AP50, that of its nets, the difference to the defaults, and intervals
-        of 95 % of both over blocks. They know nothing of other nets.
-        """
+        """Of each arm: AP50, and the difference to the defaults."""
         often = resampled_units(self.blocks[name])
         weights = np.concatenate([np.ones_like(often[:1]), often])
-        of_nets = {
+        scores = {
             arm: np.stack([self.scores(name, net, weights) for net in nets])
             for arm, nets in answers.items()
         }
-        reference = of_nets[DEFAULTS if DEFAULTS in of_nets else UNTUNED].mean(0)
-        rows = {}
-        for arm, scores in of_nets.items():
-            mean, apart = scores.mean(0), scores.mean(0) - reference
-            rows[arm] = {
-                "score": mean[0],
-                "nets": scores[:, 0].tolist(),
-                "interval": np.percentile(mean[1:], (2.5, 97.5)).tolist(),
-                "difference": apart[0],
-                "blocks": np.percentile(apart[1:], (2.5, 97.5)).tolist(),
-            }
-        return rows
+        return compared(scores, DEFAULTS if DEFAULTS in scores else UNTUNED)
 
 
 def main(
@@ -318,16 +305,15 @@ def parser(about: str | None) -> argparse.ArgumentParser:
     formatter = argparse.RawDescriptionHelpFormatter
     flags = argparse.ArgumentParser(description=about, formatter_class=formatter)
     flags.add_argument("--kit", type=Path, required=True, help="the folder of pictures and net")
+    flags.add_argument("--choose", action="store_true", help="length and step, by the dry arm")
+    flags.add_argument("--arms", nargs="+", choices=NAMES, default=NAMES, metavar="ARM")
+    flags.add_argument("--nets", type=int, default=1, help="of each arm")
+    flags.add_argument("--answered", type=Path, help="a folder that keeps what nets answered")
     return flags
 
 
 if __name__ == "__main__":
-    flags = parser(__doc__)
-    flags.add_argument("--choose", action="store_true", help="length and step, by the dry arm")
-    flags.add_argument("--arms", nargs="+", choices=NAMES, default=NAMES, metavar="ARM")
-    flags.add_argument("--nets", type=int, default=1, help="of each arm")
-    flags.add_argument("--answered", type=Path, help="a folder that keeps what nets found")
-    given = flags.parse_args()
+    given = parser(__doc__).parse_args()
     if given.choose:
         choose(given.kit)
     else:

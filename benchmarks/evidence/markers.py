@@ -1,20 +1,23 @@
 """Does a marker detector fail under water where it fails in our pictures?
 
-    python -m benchmarks.evidence.markers --kit FOLDER
+    python -m benchmarks.evidence.markers --kit FOLDER --choose    step of the nets, by the dry arm
+    python -m benchmarks.evidence.markers --kit FOLDER             curves, and nets of all arms
 
 OpenCV reads AprilTags in the frames of a film whose corners are known, and in boards pasted into
 photographs in air and degraded: by the defaults over a wide range of contrasts, and by `uwaug.like`
 of five frames. Contrast is the spread of green in a tag, 10th to 90th percentile, of 255 levels.
-The kit is that of `benchmarks.evidence.detector`.
+Small nets of `benchmarks.evidence.readers` read the film, too. The kit is that of
+`benchmarks.evidence.detector`.
 """
 
 import importlib
 import json
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,8 +28,10 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 import uwaug
-from benchmarks.evidence.detector import parser
+from benchmarks.evidence import readers
+from benchmarks.evidence.detector import NAMES, parser
 from benchmarks.evidence.net import resampled_units
+from benchmarks.evidence.readers import Tag
 from benchmarks.evidence.tasks import Array
 from benchmarks.figures.charts import FIGURES
 from benchmarks.harness import save
@@ -40,16 +45,8 @@ DISTANCES = (0.5, 3.0)  # m, from the camera to the floor
 CONTRASTS = (0.01, 0.9)
 QUALITY = 90  # of JPEG
 RESAMPLES = 200
+SHOWN_FRAMES = 5
 DICTIONARY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_16h5)
-
-
-class Tag(NamedTuple):
-    """A marker in a picture."""
-
-    block: str
-    contrast: float
-    side: float  # px
-    is_read: bool
 
 
 def tags_of(picture: Array, ids: Any, quads: Array, block: str) -> Iterator[Tag]:
@@ -71,7 +68,8 @@ def tags_of(picture: Array, ids: Any, quads: Array, block: str) -> Iterator[Tag]
             if corners
             else []
         )
-        yield Tag(block, high - low, side, min(apart, default=np.inf) < NEAR_PX)
+        is_read = min(apart, default=np.inf) < NEAR_PX
+        yield Tag(block, high - low, side, is_read, name, quad)
 
 
 def of_boards(
@@ -144,25 +142,30 @@ def drawn(curves: dict[str, Any]) -> None:
     FigureCanvasAgg(figure).print_png(FIGURES / "markers.png")
 
 
-def main(folder: Path) -> dict[str, Any]:
-    """Read, compare, print, save and draw."""
-    torch.set_num_threads(1)
-    sys.path.insert(0, str(folder))
-    kit = importlib.import_module("kit")
+def main(
+    folder: Path, arms: Sequence[str] = NAMES, nets: int = 1, answered: Path | None = None
+) -> dict[str, Any]:
+    """Read, train, compare, print, save and draw. What a net reads is kept in `answered`."""
+    kit = module(folder)
     groups = json.loads((folder / "choose/groups.json").read_text())["tags"]
     truth, frames = kit.tags("choose/tags", folder), kit.load("choose/tags", folder)
-    film: list[Tag] = []
+    of_frames: list[list[Tag]] = []
     for frame in frames:
         boards = truth.get(frame.name, [])
         quads = np.array([board["corners"] for board in boards])
         ids = [board["id"] for board in boards]
-        film += tags_of(frame.image, ids, quads, groups[frame.name])
+        of_frames.append([*tags_of(frame.image, ids, quads, groups[frame.name])])
+    film = [tag for tags in of_frames for tag in tags]
     low, high = np.percentile([t.side for t in film], (2.5, 97.5))
     names = sorted({board["id"] for boards in truth.values() for board in boards})
-    air = [sample.image for sample in kit.load("land/train", folder)]
-    shown, looked = (
+    air, other = (
+        [sample.image for sample in kit.load(f"land/{part}", folder)] for part in ("train", "val")
+    )
+    places = range(0, len(frames), len(frames) // SHOWN_FRAMES)[:SHOWN_FRAMES]
+    shown = [frames[place].image for place in places]
+    references, looked = (
         [torch.from_numpy(picture.copy()).permute(2, 0, 1) for picture in some]
-        for some in ([f.image for f in frames[:: len(frames) // 5][:5]], air[::22][:8])
+        for some in (shown, air[::22][:8])
     )
     curves = {"film": curve(film)}
     with warnings.catch_warnings():
@@ -171,16 +174,36 @@ def main(folder: Path) -> dict[str, Any]:
         plain = uwaug.RandomUnderwater(distance=DISTANCES)
         augments = {
             "RandomUnderwater": uwaug.RandomUnderwater(water, distance=DISTANCES),
-            "like of five frames": uwaug.like(shown, looked, augment=plain),
+            "like of five frames": uwaug.like(references, looked, augment=plain),
         }
         for name, augment in augments.items():
             curves[name] = curve(of_boards(kit, air, augment, ids=names, low=low, high=high))
     for name, of in curves.items():
         print(name, of, flush=True)
-    save("markers", {"scenes": SCENES, "contrasts": CONTRASTS, "curves": curves})
+    unseen = [
+        (frame.image, tags)
+        for place, (frame, tags) in enumerate(zip(frames, of_frames, strict=True))
+        if place not in places and tags
+    ]
+    with TemporaryDirectory() as temporary:
+        keeper = answered or Path(temporary)
+        read = readers.measured(kit, (air, other), shown, unseen, arms, nets, keeper)
+    results = {"scenes": SCENES, "contrasts": CONTRASTS, "curves": curves, "readers": read}
+    save("markers", results)
     drawn(curves)
-    return curves
+    return results
+
+
+def module(folder: Path) -> Any:
+    """What loads a kit."""
+    torch.set_num_threads(1)
+    sys.path.insert(0, str(folder))
+    return importlib.import_module("kit")
 
 
 if __name__ == "__main__":
-    main(parser(__doc__).parse_args().kit)
+    given = parser(__doc__).parse_args()
+    if given.choose:
+        readers.choose(module(given.kit), given.kit)
+    else:
+        main(given.kit, given.arms, given.nets, given.answered)

@@ -1,6 +1,6 @@
 """A small net, trained on the pictures of an arm, and its scores with their intervals."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -28,17 +28,29 @@ def net(classes: int) -> nn.Module:
     return model.to(memory_format=torch.channels_last)
 
 
-def trained(pictures: Tensor, labels: Tensor, classes: int, steps: int, seed: int) -> nn.Module:
-    """A net after so many steps; weights, order and flips hang on the seed alone."""
+def mirrored(batch: Tensor) -> Tensor:
+    """Half of the pictures from the other side."""
+    flipped = torch.rand(len(batch))[:, None, None, None] < 0.5
+    return torch.where(flipped, batch.flip(-1), batch)
+
+
+def trained(
+    pictures: Tensor,
+    labels: Tensor,
+    classes: int,
+    steps: int,
+    seed: int,
+    rate: float = 2e-3,
+    seen: Callable[[Tensor], Tensor] = mirrored,
+) -> nn.Module:
+    """A net after so many steps; weights, order and how batches are seen hang on the seed alone."""
     torch.manual_seed(seed)
     model = net(classes).train()
-    optimiser = torch.optim.AdamW(model.parameters(), 2e-3)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 2e-3, max(steps, 2))
+    optimiser = torch.optim.AdamW(model.parameters(), rate)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, max(steps, 2))
     for _ in range(steps):
         picked = torch.randint(len(labels), (BATCH,))
-        flipped = torch.rand(BATCH)[:, None, None, None] < 0.5
-        batch = normalised(pictures[picked])
-        batch = torch.where(flipped, batch.flip(-1), batch)
+        batch = seen(normalised(pictures[picked]))
         loss = nn.functional.cross_entropy(model(batch), labels[picked])
         optimiser.zero_grad()
         loss.backward()
@@ -52,12 +64,16 @@ def normalised(pictures: Tensor) -> Tensor:
     return pictures.float() / 127.5 - 1
 
 
-@torch.no_grad()
 def answers(model: nn.Module, crops: Crops, balanced: bool) -> Array:
     """Scores of each class (NxC), of the pictures or of grey-world's."""
     images = grey_world(crops) if balanced else crops.images
-    pictures = torch.from_numpy(images).permute(0, 3, 1, 2)
-    return torch.cat([model(normalised(part)) for part in pictures.split(256)]).numpy()
+    return logits(model, torch.from_numpy(images).permute(0, 3, 1, 2)).numpy()
+
+
+@torch.no_grad()
+def logits(model: nn.Module, pictures: Tensor) -> Tensor:
+    """Scores of each class (NxC), of bytes (Nx3x48x48)."""
+    return torch.cat([model(normalised(part)) for part in pictures.split(256)])
 
 
 def grey_world(crops: Crops) -> Array:
@@ -128,3 +144,21 @@ def resampled_units(units: Any, count: int = RESAMPLES) -> Array:
     picked = np.random.default_rng(0).integers(0, len(sizes), (count, len(sizes)))
     often = np.stack([np.bincount(row, minlength=len(sizes)) for row in picked])
     return often[:, unit.reshape(-1)].astype(float)
+
+
+def compared(scores: Mapping[str, Array], reference: str) -> dict[str, Any]:
+    """Of each arm: its mean score, those of its nets, the difference to the reference, and
+    intervals of 95 % of both. `scores` of each arm's nets, first of all there is, then of resamples
+    (Kx(1+R)). Intervals know nothing of other nets.
+    """
+    rows = {}
+    for arm, of_nets in scores.items():
+        mean, apart = of_nets.mean(0), of_nets.mean(0) - scores[reference].mean(0)
+        rows[arm] = {
+            "score": mean[0],
+            "nets": of_nets[:, 0].tolist(),
+            "interval": np.percentile(mean[1:], (2.5, 97.5)).tolist(),
+            "difference": apart[0],
+            "blocks": np.percentile(apart[1:], (2.5, 97.5)).tolist(),
+        }
+    return rows
