@@ -357,7 +357,30 @@ def detector() -> str:
         "and its interval of 95 % over blocks, bold where that leaves out 0:\n\n"
         + table(["tuned on", *head], rows)
         + f"\n\n**Markers**, half as many read as at high contrast: {halves} of 255 levels.\n\n"
-        "![Share of tags that are read against contrast: film and uwaug](figures/markers.png)"
+        "![Share of tags that are read against contrast: film and uwaug](figures/markers.png)\n\n"
+        + _readers(markers["readers"])
+    )
+
+
+def _readers(found: Results) -> str:
+    """What nets read of a film."""
+    counts, tables = found["tags"], found["tables"]
+    limits = {"all": "", "faint": f" below {found['faint']} levels", "clear": " above"}
+    head = [
+        f"{'film' if not limit else ''}{limit} ({counts[part]} tags)".strip()
+        for part, limit in limits.items()
+    ]
+    rows = []
+    for arm in tables["all"]:
+        air = found["air"].get(arm)
+        dry = "–" if air is None else f"{sum(air) / len(air):.3f}"
+        rows.append([arm, *(_spread(tables[part][arm]) for part in limits), dry])
+    nets = max(len(row["nets"]) for row in tables["all"].values())
+    return (
+        f"**Nets that read markers**: {nets} an arm, {found['steps']} steps of 64 crops of boards "
+        f"pasted into {found['scenes']} pictures in air. Shares of tags read, of 30 that it might "
+        "be, and differences as above; OpenCV has to find the tags, too:\n\n"
+        + table(["trained on", *head, "boards in air"], rows)
     )
 
 
