@@ -148,8 +148,8 @@ def measured(
     of clear ones, and of all in stretched green; and of boards in air. Photographs are those to
     train on, and others for these boards. What a net reads is kept in `answered`, and asked once.
     """
-    scenes, others = (scenes_of(kit, some) for some in photographs)
-    dry, of_dry = degraded(ARMS["no water"](), *others, 0)
+    scenes = scenes_of(kit, photographs[0])
+    dry, of_dry = degraded(ARMS["no water"](), *scenes_of(kit, photographs[1]), 0)
     tags = [tag for _, of in frames for tag in of]
     film = np.stack([picture for frame in frames for picture in crops_of(*frame)])
     pictures = torch.from_numpy(np.concatenate([film, green(film)])).permute(0, 3, 1, 2)

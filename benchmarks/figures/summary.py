@@ -363,23 +363,22 @@ def detector() -> str:
 
 
 def _readers(found: Results) -> str:
-    """What nets read of a film."""
+    """What small nets read of a film."""
     counts, tables = found["tags"], found["tables"]
-    limits = {"all": "", "faint": f" below {found['faint']} levels", "clear": " above"}
-    head = [
-        f"{'film' if not limit else ''}{limit} ({counts[part]} tags)".strip()
-        for part, limit in limits.items()
-    ]
+    below, above = f"below {found['faint']} levels", f"{found['faint']} and more"
+    titles = {"all": "film", "faint": below, "clear": above, "green": "by stretched green"}
     rows = []
     for arm in tables["all"]:
-        air = found["air"].get(arm)
-        dry = "–" if air is None else f"{sum(air) / len(air):.3f}"
-        rows.append([arm, *(_spread(tables[part][arm]) for part in limits), dry])
+        nets = found["air"].get(arm)  # OpenCV's was not asked
+        air = f"{sum(nets) / len(nets):.3f}" if nets else "–"
+        rows.append([arm, *(_spread(tables[part][arm]) for part in titles), air])
+    head = [f"{title} ({counts[part]} tags)" for part, title in titles.items()]
     nets = max(len(row["nets"]) for row in tables["all"].values())
     return (
-        f"**Nets that read markers**: {nets} an arm, {found['steps']} steps of 64 crops of boards "
-        f"pasted into {found['scenes']} pictures in air. Shares of tags read, of 30 that it might "
-        "be, and differences as above; OpenCV has to find the tags, too:\n\n"
+        f"**Nets that read markers**: {nets} net{'s' * (nets > 1)} an arm, {found['steps']} steps "
+        f"of 64 crops of boards in {found['scenes']} pictures. Shares of the film's tags that are "
+        "read, of 30 that each might be (chance is .03), and differences as above. Nets are told "
+        "where a tag is, OpenCV finds it. In brackets of the head: how many there are.\n\n"
         + table(["trained on", *head, "boards in air"], rows)
     )
 
