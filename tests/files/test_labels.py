@@ -235,6 +235,14 @@ def test_coco(tmp_path: Path) -> None:
         11: {**ANNOTATIONS[4], "contrast": 0.9},
     }
     assert file.read_text() == coco()
+    labelled(file, ["b.jpg"], tmp_path / "out")
+    text = (tmp_path / "out/instances.json").read_text()
+    assert len(json.loads(text)["images"]) == 1
+    (tmp_path / "out/instances.json").write_text(text.replace("b.jpg", "c.jpg"))
+    notes: list[str] = []
+    labelled(file, ["b.jpg"], tmp_path / "out", notes=notes)
+    assert "instances.json stays, as it was edited" in notes[-1]
+    assert "c.jpg" in (tmp_path / "out/instances.json").read_text()
     with pytest.raises(ValueError, match="is read, and would be written over"):
         labelled(file, ["b.jpg"], tmp_path)
 

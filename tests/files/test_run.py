@@ -452,6 +452,15 @@ def test_only_what_a_run_has_written_is_replaced(
         with pytest.raises(FileExistsError, match=f"out/{own} was not written by a run: move it"):
             degrade(recipe, items(), "out", sheet=True, **options)
         assert content("out") == {own: b"mine"}
+        path.unlink()
+        degrade(recipe, items(), "out")
+        if own == "sheet.jpg":
+            path.write_text("mine")
+            with pytest.raises(FileExistsError, match=r"out/sheet\.jpg was not written by a run"):
+                degrade(recipe, items(), "out", sheet=True, **options)
+            path.unlink()
+        degrade(recipe, items(), "out", sheet=True, **options)
+        degrade(recipe, items(), "out", sheet=True, **options)
     else:
         (failure,) = degrade(recipe, items(), "out", **options).failures
         assert f"out/{own} was not written by a run: move it" in failure

@@ -230,7 +230,8 @@ def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
     bases = [folder / _filled(pattern, stem) for stem in stems]
     paths = [base.with_name(base.name + end) for base in bases for end in ("", *MAP_ENDINGS)]
     # an EXR may be its own map; any other picture matches where the part to replace is not there
-    is_map = any(new and new in stems[0] for _, new in _STEM.findall(pattern))
+    words = [re.escape(new) for _, new in _STEM.findall(pattern) if new]
+    is_map = any(re.search(rf"(?<![^\W_]){word}(?![^\W_])", stems[0]) for word in words)
     picture = None if is_map or path.suffix.lower() == ".exr" else os.path.realpath(path)
     maps = (file for file in filter(Path.is_file, paths) if os.path.realpath(file) != picture)
     return next(maps, bases[0].with_suffix("") if bases[0].suffix in MAP_ENDINGS else bases[0])

@@ -22,6 +22,7 @@ from uwaug.files.pictures import read_picture
 from uwaug.files.pool import on_processes
 from uwaug.files.record import (
     digest,
+    is_written,
     places_of,
     reason_of,
     record_of,
@@ -244,7 +245,8 @@ def _require_folder_of_run(jobs: Sequence[Job], out: Path, *, sheet: bool) -> No
     """
     labels = next((job.labels for job in jobs if job.labels is not None), None)
     places = places_of(out)
-    names = ["index.csv", *["sheet.jpg"] * sheet] if places is None else []
+    names = ["index.csv"] if places is None else []
+    names += ["sheet.jpg"] if sheet and not is_written(out / "sheet.jpg") else []
     if labels is not None:
         others = {*(places or ())} - {job.place for job in jobs}
         if stale := sorted(place for place in others if (out / place).exists()):

@@ -18,7 +18,7 @@ from uwaug.files.films import Films, frames_of
 from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
-from uwaug.files.pictures import ENDINGS, orientation_of, profile_of, write_picture
+from uwaug.files.pictures import ENDINGS, Picture, write_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
@@ -149,7 +149,7 @@ def replay(
     item = Item(entries["name"], *files)
     require_apart([Job(item, output.name)], output.parent)
     with one_thread():
-        image, z = recipe.read(item)
+        (image, *_), z = recipe.read(item)
         degraded = recipe.transform_of(item.picture).transform(image, z, entries["params"])
         recipe.write(output, degraded, item.picture)
 
@@ -185,7 +185,8 @@ class _Underwater(Work):
 
     def make(self, job: Job) -> tuple[tuple[Tensor, Truth | None], dict[str, Any]]:
         item, labels = job.item, job.labels
-        image, z = self.recipe.read(item)
+        picture, z = self.recipe.read(item)
+        image = picture.image
         transform = self.recipe.transform_of(item.picture)
         if job.frame is None:
             params = self.recipe.drawn(item.name, job.variant)
@@ -206,7 +207,7 @@ class _Underwater(Work):
             "reached": reached and reached._asdict(),
             "truth": truth and truth.record(),
             "objects": [label._asdict() for label in objects],
-            "asked": _questions(item, transform, image, z, labels),
+            "asked": _questions(item, transform, picture, z, labels),
         }
 
     def write(self, path: Path, result: tuple[Tensor, Truth | None], item: Item) -> None:
@@ -251,17 +252,20 @@ def _short_name(water: str | dict[str, float]) -> str:
 
 
 def _questions(
-    item: Item, transform: RandomUnderwater, image: Tensor, z: Tensor | None, labels: Labels | None
+    item: Item,
+    transform: RandomUnderwater,
+    picture: Picture,
+    z: Tensor | None,
+    labels: Labels | None,
 ) -> list[str]:
     """Keys of `ASKED` that apply to a picture."""
-    source = transform.distance
-    is_srgb = transform.development.color_space == "srgb"
+    source, image = transform.distance, picture.image
     may_be_12_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
     may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
     doubts = {
-        "turned": (z is not None or labels is not None) and orientation_of(item.picture) > 1,
+        "turned": (z is not None or labels is not None) and picture.orientation > 1,
         "dark": may_be_12_bits and image.is_floating_point() and float(image.max()) < _DARK_LIGHT,
-        "profile": is_srgb and bool(profile_of(item.picture)),
+        "profile": bool(picture.profile),
         "alone": may_have_holes and z is not None and bool(of_shares(z).any()),
     }
     return [key for key, applies in doubts.items() if applies]
