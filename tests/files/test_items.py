@@ -77,6 +77,15 @@ def test_maps_by_a_list(text: str, maps: str, found: dict[str, str]) -> None:
         find_items("d", "pairs.txt")
 
 
+def test_lists_of_other_scenes_with_the_same_names() -> None:
+    touch("s1/d/1.png s1/d/2.png s0/m/1.png s1/m/2.png scene_01/d/1.png scene_02/m/1.png")
+    Path("a.txt").write_text("s1/d/2.png s1/m/2.png\ns0/d/1.png s0/m/1.png")
+    assert names("s1/d", "a.txt") == {"1.png": "a.txt/1.png", "2.png": "s1/m/2.png"}
+    Path("a.txt").write_text("scene_02/d/1.png scene_02/m/1.png")
+    with pytest.raises(ValueError, match=r"no line of a.txt has it and a map"):
+        find_items("scene_01/d", "a.txt")
+
+
 @pytest.mark.parametrize(
     "picture, found",
     [

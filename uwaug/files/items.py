@@ -31,6 +31,7 @@ _UNREAD = {
 }
 """Cures for pictures that are neither read nor written, with the ends of their names."""
 
+_OF_DISKS = ("@eaDir", "@Recycle", "@Recently-Snapshot", "@tmp")  # folders of network disks
 _MAX_DELAY_S = 0.02  # between a picture and its map, as in TUM's own tool
 _STEM = re.compile(r"\{stem(?::([^=}]*)=([^}]*))?\}")
 
@@ -169,8 +170,8 @@ def _files(folder: Path, excluded: frozenset[str]) -> Iterator[Path]:
     """
     excluded |= {os.path.realpath(folder)}
     for path in folder.iterdir():
-        if path.name.startswith(".") or (path.name.startswith("@") and path.is_dir()):
-            continue  # hidden, or of a disk in the network
+        if path.name.startswith(".") or path.name in _OF_DISKS:
+            continue
         if path.name.startswith("Segmentation") and (folder / "JPEGImages").is_dir():
             continue  # Pascal VOC's masks
         if not path.is_dir():

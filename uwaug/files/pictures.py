@@ -33,6 +33,7 @@ _PFM = re.compile(rb"(P[Ff])\s+(\d+)\s+(\d+)\s+(\S+)(?:\r\n|\s)")  # colour or g
 _BIT_DEPTH = 24  # place in a PNG of the byte with the number of bits of a channel
 _ORIENTATION_CHUNKS = (b"eXIf", b"Raw profile type", b"XML:com.adobe.xmp")  # of a PNG
 _PROFILE_TAG = 34675  # of TIFF
+_REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of red, green, blue, white
 _SAME_LEVELS = 2  # by which profiles of sRGB differ, of 255
 
 
@@ -376,18 +377,22 @@ def _of_pillow(path: Path) -> _File:
         else:
             values = np.asarray(image)
         turn = int(image.getexif().get(ExifTags.Base.Orientation, 1))
+        index = image.getexif().get_ifd(ExifTags.IFD.Interop).get(ExifTags.Interop.InteropIndex)
+        if index == "R03" and not profile:
+            got = "says in its EXIF that it is in Adobe RGB, without a profile"
+            raise ValueError(f"{got}: convert it first, or add the profile")
         return _File(_upright(values, turn), turn, profile)
 
 
 def _of_tiff(path: Path) -> _File:
     with tifffile.TiffFile(path) as file:
-        page = file.pages.first
+        page, count = file.pages.first, sum(not page.is_reduced for page in file.pages)
         kinds = (tifffile.PHOTOMETRIC.RGB, tifffile.PHOTOMETRIC.MINISBLACK)
         if page.photometric not in kinds:
             raise ValueError(f"expected RGB or grey, got {page.photometric}")
         if page.imagewidth * page.imagelength > 2 * (Image.MAX_IMAGE_PIXELS or np.inf):
             raise ValueError(f"{page.imagewidth}×{page.imagelength} px: see PIL.MAX_IMAGE_PIXELS")
-        if (count := file.series[0].size // page.size) > 1:
+        if (count := max(count, file.series[0].size // page.size)) > 1 or page.is_reduced:
             raise ValueError(f"holds {count} pictures: save each in a file of its own")
         values = page.asarray()
         values = np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
@@ -403,6 +408,11 @@ def _of_exr(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
     """
     (exr,) = require("files", "OpenEXR")
     parts = exr.File(str(path)).parts
+    primaries = [part.header.get("chromaticities", _REC_709) for part in parts]
+    if channels == "RGB" and not np.allclose(primaries, _REC_709, atol=2e-3):
+        cure = "convert it first, as by oiiotool --colorconvert"
+        got = ", ".join(f"{number:.4g}" for number in primaries[0])
+        raise ValueError(f"its primaries are {got}, and not those of Rec. 709: {cure}")
     layers = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
     colours = [name for name in layers if layers[name].ndim == 3]
     if channels == "RGB":
@@ -411,8 +421,9 @@ def _of_exr(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
         names += [name for name in views if len(views) == 1 or name.startswith("Composite.")]
     else:
         lengths = [n for n in layers if f"{n[:-1]}X" not in layers and "Denois" not in n]
-        names = [name for name in lengths if name == "Z" or "depth" in name.lower()]
-        names += [name for name in lengths if name.endswith(".Z") or len(layers) == 1]
-    if not names:
+        names = [name for name in lengths if name == "Z"]
+        names = names or [name for name in lengths if "depth" in name.lower()]
+        names = names or [name for name in lengths if name.endswith(".Z") or len(layers) == 1]
+    if not names or (channels == "Z" and len(names) > 1):
         raise ValueError(f"expected one layer of {channels}, got {', '.join(layers)}")
     return np.asarray(layers[names[0]])

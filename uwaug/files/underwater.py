@@ -99,7 +99,7 @@ def degrade(
         results = [result for result in summary.results if result.status != "failed"]
         # without results, those of an earlier run keep their lists
         notes = labels.finish(results, out, force=force) if results else []
-        summary = replace(summary, notes=[_labels_note(labels, items), *notes])
+        summary = replace(summary, notes=[*summary.notes, _labels_note(labels, items), *notes])
     return summary
 
 
@@ -146,8 +146,11 @@ def replay(
         if file and digest(file) not in (None, source["sha256"]):
             raise ValueError(f"{file} has changed since {record} was written")
         files.append(file)
+    for file, before in entries["files"].items():
+        if digest(Path(file)) != before:
+            raise ValueError(f"{file} is gone, or has changed since {record} was written")
     item = Item(entries["name"], *files)
-    require_apart([Job(item, output.name)], output.parent)
+    require_apart(Work(output.parent, resume=False, force=force), [Job(item, output.name)])
     with one_thread():
         (image, *_), z = recipe.read(item)
         degraded = recipe.transform_of(item.picture).transform(image, z, entries["params"])
@@ -170,11 +173,13 @@ class _Underwater(Work):
     def __init__(self, recipe: Recipe, out: Path, *, resume: bool, force: bool) -> None:
         super().__init__(out, resume=resume, force=force)
         self.recipe, self._plain = recipe, codec.to_plain(recipe)
+        self._files = {str(file): digest(file) for file in _files_of(self._plain["transform"])}
         self._films = Films(recipe)
 
     def made_of(self, job: Job) -> dict[str, Any]:
         space = self.recipe.transform_of(job.item.picture).development.color_space
         sources = {**super().made_of(job), "recipe": self._plain, "color_space": space}
+        sources["files"] = self._files
         if job.labels is not None:
             sources["labels"] = job.labels.digest(job.item.name)
         if job.frame is not None:
@@ -242,6 +247,15 @@ class _Underwater(Work):
         distance = f"{reached['metres']:.2g} m, " if reached else ""
         water = " + ".join(_short_name(water) for water in sample["water"]["waters"])
         return f"{distance}contrast {record['contrast']:.2f}\n{water}"
+
+
+def _files_of(value: Any) -> Iterator[Path]:
+    """Files that options name, such as those of waters and cameras."""
+    if isinstance(value, (dict, list, tuple)):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _files_of(part)
+    elif isinstance(value, str) and Path(value).suffix and Path(value).is_file():
+        yield Path(value)
 
 
 def _short_name(water: str | dict[str, float]) -> str:
