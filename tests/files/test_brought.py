@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 import torch
 from filing import content, metres, pixels, save
-from PIL import Image
+from PIL import ExifTags, Image
 
 from uwaug import RandomDevelopment, RandomUnderwater, RandomWater
 from uwaug.distance import Metres
@@ -97,6 +98,37 @@ def test_layers_of_colour_that_may_be_the_picture_are_refused() -> None:
         read_picture("a.exr")
     save_exr("b.exr", {"Background.Combined": LIGHT / 2, "Composite.Combined": LIGHT, "Z": Z})
     assert torch.equal(read_picture("b.exr", "linear"), torch.from_numpy(LIGHT).permute(2, 0, 1))
+
+
+def test_an_exr_of_other_primaries_is_refused() -> None:
+    exr = pytest.importorskip("OpenEXR")
+    acescg = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
+    header = {"type": exr.scanlineimage, "chromaticities": acescg}
+    exr.File(header, {"RGB": LIGHT}).write("a.exr")
+    with pytest.raises(ValueError, match=r"a\.exr: .*primaries are 0\.713, .* convert it first"):
+        read_picture("a.exr")
+
+
+def test_two_layers_of_distances_are_refused() -> None:
+    save_exr("a.exr", {"Far.Depth.Z": Z, "Near.Depth.Z": Z / 2})
+    with pytest.raises(ValueError, match=r"one layer of Z, got Far\.Depth\.Z, Near\.Depth\.Z"):
+        read_distance("a.exr")
+
+
+def test_adobe_rgb_by_exif_alone_is_refused() -> None:
+    exif = Image.Exif()
+    exif[ExifTags.IFD.Exif] = {ExifTags.IFD.Interop: {ExifTags.Interop.InteropIndex: "R03"}}
+    Image.fromarray(pixels(H, W)).save("a.jpg", exif=exif)
+    with pytest.raises(ValueError, match=r"a\.jpg: .* Adobe RGB, without a profile"):
+        read_picture("a.jpg")
+
+
+def test_pages_of_two_sizes_are_two_pictures() -> None:
+    with tifffile.TiffWriter("a.tif") as file:
+        for side in (8, H):
+            file.write(pixels(side, side), photometric="rgb")
+    with pytest.raises(ValueError, match=r"a\.tif: .*holds 2 pictures"):
+        read_picture("a.tif")
 
 
 # Linear light

@@ -39,6 +39,7 @@ def films(names: str, rig: str = "auto") -> list[dict[str, int]]:
         ("cameraA/{}.png", "cameraB/{}.png"),
         ("left/1.{}0000.png", "right/1.{}0003.png"),  # frames of nearly the same times
         ("seas/left_{}.png", "seas/right_{}.png"),
+        ("seas/cam0_{}.png", "seas/cam1_{}.png"),
     ],
 )
 def test_cameras_of_a_rig_share_a_film(first: str, second: str) -> None:

@@ -28,6 +28,7 @@ def names(pictures: str, maps: str | None = None, exclude: Sequence[str] = ()) -
 
 
 OWN = {"b_RGB.png": "d/b_RGB", "rgb.png": "d/depth.png"}
+INDEPTH = {"indepth/1.png": "d/indepth/1", "indepth/rgb.png": "d/indepth/depth.png"}
 Z, SWAP = "{stem}_z.png", "{stem:rgb=depth}.png"
 FOUND: list[tuple[str, str, str | None, dict[str, str]]] = [
     # files, pictures, maps, and what is found
@@ -45,6 +46,8 @@ FOUND: list[tuple[str, str, str | None, dict[str, str]]] = [
     ("d/s/rgb/0.png d/s/depth/0.png", "d", f"d/{SWAP}", {"s/rgb/0.png": "d/s/depth/0.png"}),
     # maps without pictures are no pictures of a pattern
     ("d/rgb_0.png d/depth_0.png d/depth_1.png", "d", SWAP, {"rgb_0.png": "d/depth_0.png"}),
+    # a part of a word is no name of maps
+    ("d/indepth/rgb.png d/indepth/depth.png d/indepth/1.png", "d", SWAP, INDEPTH),
     # a picture is not its own map
     ("d/b_RGB.png d/b_depth.png d/rgb.png d/depth.png", "d", SWAP, OWN),
     ("voc/JPEGImages/1.jpg voc/SegmentationClass/1.png", "voc", None, {"JPEGImages/1.jpg": ""}),
@@ -72,6 +75,15 @@ def test_maps_by_a_list(text: str, maps: str, found: dict[str, str]) -> None:
     Path("pairs.txt").write_text("1.png\n")
     with pytest.raises(ValueError, match=r"no line of pairs.txt has it and a map"):
         find_items("d", "pairs.txt")
+
+
+def test_lists_of_other_scenes_with_the_same_names() -> None:
+    touch("s1/d/1.png s1/d/2.png s0/m/1.png s1/m/2.png scene_01/d/1.png scene_02/m/1.png")
+    Path("a.txt").write_text("s1/d/2.png s1/m/2.png\ns0/d/1.png s0/m/1.png")
+    assert names("s1/d", "a.txt") == {"1.png": "a.txt/1.png", "2.png": "s1/m/2.png"}
+    Path("a.txt").write_text("scene_02/d/1.png scene_02/m/1.png")
+    with pytest.raises(ValueError, match=r"no line of a.txt has it and a map"):
+        find_items("scene_01/d", "a.txt")
 
 
 @pytest.mark.parametrize(

@@ -235,6 +235,14 @@ def test_coco(tmp_path: Path) -> None:
         11: {**ANNOTATIONS[4], "contrast": 0.9},
     }
     assert file.read_text() == coco()
+    labelled(file, ["b.jpg"], tmp_path / "out")
+    text = (tmp_path / "out/instances.json").read_text()
+    assert len(json.loads(text)["images"]) == 1
+    (tmp_path / "out/instances.json").write_text(text.replace("b.jpg", "c.jpg"))
+    notes: list[str] = []
+    labelled(file, ["b.jpg"], tmp_path / "out", notes=notes)
+    assert "instances.json stays, as it was edited" in notes[-1]
+    assert "c.jpg" in (tmp_path / "out/instances.json").read_text()
     with pytest.raises(ValueError, match="is read, and would be written over"):
         labelled(file, ["b.jpg"], tmp_path)
 
@@ -444,6 +452,16 @@ DESCRIBED: dict[str, tuple[dict[str, str], dict[str, Any], str]] = {
     "beside others": ({**OTHER, "args.yaml": "epochs: 3\n", "odd.yml": "names: [fish"}, {}, ""),
     "lines": ({"labels/classes.txt": "fish\ncrab: red\n\n"}, {}, ""),
     "lines above": ({"obj.names": "fish\ncrab: red\n"}, {}, ""),
+    "lines of two": (
+        {"labels/classes.txt": "fish\ncrab: red\n", "obj.names": "cod\nray\n"},
+        {},
+        "classes are those of {folder}/labels/classes.txt, not of {folder}/obj.names",
+    ),
+    "beside lines of others": (
+        {"data.yaml": "names: {0: fish, 1: 'crab: red'}", "labels/classes.txt": "cod\nray\n"},
+        {"names": dict(enumerate(CRABS))},
+        "classes are those of {folder}/data.yaml, not of {folder}/labels/classes.txt",
+    ),
     "lines of another": ({"_darknet.labels": "fish\ncrab: red\n"}, {}, ""),
     "a gap": ({"obj.names": "cod\n\nray\n\n"}, {"names": ["cod", "", "ray"]}, ""),
     "none": (
@@ -515,10 +533,10 @@ SPLITS: dict[str, tuple[str, dict[str, str], list[str]]] = {
         PLACES,
         {
             **{"reef/images/1.png": "train", "wreck/images/1.png": "train"},
-            **{"harbour/images/1.png": "val", "other/images/1.png": ""},
+            **{"harbour/images/1.png": "val", "other/images/train/1.png": ""},
         },
         [
-            "1 pictures are of no split, and in no list, such as ./other/images/1.png",
+            "1 pictures are of no split, and in no list, such as ./other/images/train/1.png",
             EMPTY.format("test", "nothing"),
         ],
     ),
@@ -633,6 +651,17 @@ def test_a_line_without_a_folder_of_its_own_is_of_one_picture(tmp_path: Path) ->
     labels = opened(tmp_path, "val/images/0.png", "a/images/0.png")
     assert isinstance(labels, Yolo)
     assert labels.splits == {"val/images/0.png": [], "a/images/0.png": ["train"]}
+
+
+def test_lists_with_other_pictures_of_the_same_names(tmp_path: Path) -> None:
+    write(tmp_path / "data.yaml", "train: train.txt\nval: val.txt\nnames: [fish]\n")
+    names = [f"b/images/{number}.png" for number in range(3)]
+    write(tmp_path / "b/labels/0.txt", ALL)
+    write(tmp_path / "train.txt", "/data/a/images/0.png\n/data/b/images/1.png\n")
+    write(tmp_path / "val.txt", "/data/b/images/2.png\n")
+    labels = opened(tmp_path, *names)
+    assert isinstance(labels, Yolo)
+    assert list(labels.splits.values()) == [[], ["train"], ["val"]]
 
 
 def test_folders_that_another_machine_has_named(tmp_path: Path) -> None:

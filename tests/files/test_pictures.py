@@ -13,7 +13,7 @@ from imagecodecs import cms_profile
 from PIL import ExifTags, Image, ImageCms, ImageOps
 
 from uwaug.files import read_distance, read_picture, write_picture
-from uwaug.files.pictures import orientation_of, profile_of
+from uwaug.files.pictures import open_picture
 
 NAMES = {
     "uint8": ("a.png", "a.TIF", "a.npy"),
@@ -104,21 +104,21 @@ def test_colour_profiles_become_srgb(
     image = read_picture(path)
     shares = image / (255 if image.dtype == torch.uint8 else 1)
     assert np.abs(shares.permute(1, 2, 0).numpy() - expected).max() * 255 < levels
-    assert profile_of(path) == profile
+    assert open_picture(path).profile == profile
 
 
 def test_srgb_by_its_profile_stays(tmp_path: Path) -> None:
     srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     for name, profile in (("a.png", srgb), ("b.tif", srgb), ("c.png", b"no profile")):
         Image.fromarray(pixels()).save(tmp_path / name, icc_profile=profile)
-        assert profile_of(tmp_path / name) == b""
+        assert open_picture(tmp_path / name).profile == b""
         assert np.array_equal(read_picture(tmp_path / name).permute(1, 2, 0), pixels())
     light = tmp_path / "light.png"
     Image.fromarray(pixels()).save(light, icc_profile=_profile(DISPLAY_P3))
     assert np.array_equal(read_picture(light, "linear").permute(1, 2, 0), pixels())
 
 
-@pytest.mark.parametrize("name", ["a.png", "b.png", "c.exr"])
+@pytest.mark.parametrize("name", ["a.png", "b.png", "c.exr", "d.tif"])
 def test_transparent_pictures_before_a_colour(tmp_path: Path, name: str) -> None:
     alpha = np.linspace(0, 1, H * W).reshape(H, W, 1).round(1)
     colour, behind = pixels() / 255, np.array([255, 128, 0]) / 255
@@ -133,7 +133,11 @@ def test_transparent_pictures_before_a_colour(tmp_path: Path, name: str) -> None
     else:
         kind, white = (np.uint8, 255) if name == "a.png" else (np.uint16, 65535)
         values = np.rint(np.concatenate([colour, alpha], 2) * white).astype(kind)
-        save(path, values)
+        options: dict[str, Any] = {}
+        if name == "d.tif":  # whose colours are multiplied by alpha
+            values[..., :3] = np.rint(colour * alpha * white)
+            options = {"photometric": "rgb", "extrasamples": ["assocalpha"]}
+        save(path, values, **options)
     space: Any = "linear" if name == "c.exr" else "srgb"
     image = read_picture(path, space, "#ff8000").permute(1, 2, 0).numpy()
     image = image / (255 if image.dtype == np.uint8 else 1)
@@ -152,7 +156,7 @@ def test_pictures_are_upright(tmp_path: Path, name: str, orientation: int) -> No
     expected = torch.from_numpy(np.array(upright).transpose(2, 0, 1))
     error = (read_picture(tmp_path / name).int() - expected.int()).abs()
     assert error.max() <= (4 if "jpg" in name else 0)
-    assert orientation_of(tmp_path / name) == orientation
+    assert open_picture(tmp_path / name).orientation == orientation
 
 
 def _exif(orientation: int) -> Image.Exif:

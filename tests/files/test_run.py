@@ -282,6 +282,39 @@ def test_labels() -> None:
     assert after == before
 
 
+def test_a_water_file_that_has_changed() -> None:
+    rows = "wavelength,a,b,K_d\n400,.1,.2,.1\n700,.6,.2,.6\n"
+    Path("water.csv").write_text(rows)
+    recipe = Recipe(RandomUnderwater(RandomWater("water.csv", contrast=None)))
+    degrade(recipe, items()[:1], "out")
+    Path("water.csv").write_text(rows.replace(".6", ".9"))
+    again = degrade(recipe, items()[:2], "out", resume=True)
+    assert statuses(again) == ["failed", "written"]
+    assert "was made with another files" in again.failures[0]
+    with pytest.raises(ValueError, match=r"water\.csv is gone, or has changed since out"):
+        replay("out/0.png.json", "again.png")
+    Path("water.csv").write_text(rows)
+    replay("out/0.png.json", "again.png")
+    assert content(".")["again.png"] == content(".")["out/0.png"]
+
+
+def test_labels_that_have_gone_go() -> None:
+    Path("labels").mkdir()
+    for number in range(2):
+        Path(f"labels/{number}.txt").write_text("0 .5 .5 1 1\n")
+    recipe = Recipe(WATER, labels="labels")
+    degrade(recipe, items(), "out")
+    with pytest.raises(FileExistsError, match="out holds labels of an earlier run"):
+        degrade(replace(recipe, labels=None), items(), "out", force=True)
+    fewer = degrade(RECIPE, items()[:2], "plain")
+    assert fewer.notes == []
+    (note,) = degrade(RECIPE, items()[1:2], "plain", force=True).notes
+    assert note.startswith("1 pictures of an earlier run, such as 0.png, stay in plain")
+    Path("labels/1.txt").unlink()
+    degrade(recipe, items(), "out", force=True)
+    assert {name for name in content("out") if "labels" in name} == {"labels/0.txt"}
+
+
 def test_a_sheet() -> None:
     degrade(RECIPE, items(), "out", sheet=True)
     with Image.open("out/sheet.jpg") as sheet:
@@ -452,6 +485,15 @@ def test_only_what_a_run_has_written_is_replaced(
         with pytest.raises(FileExistsError, match=f"out/{own} was not written by a run: move it"):
             degrade(recipe, items(), "out", sheet=True, **options)
         assert content("out") == {own: b"mine"}
+        path.unlink()
+        degrade(recipe, items(), "out")
+        if own == "sheet.jpg":
+            path.write_text("mine")
+            with pytest.raises(FileExistsError, match=r"out/sheet\.jpg was not written by a run"):
+                degrade(recipe, items(), "out", sheet=True, **options)
+            path.unlink()
+        degrade(recipe, items(), "out", sheet=True, **options)
+        degrade(recipe, items(), "out", sheet=True, **options)
     else:
         (failure,) = degrade(recipe, items(), "out", **options).failures
         assert f"out/{own} was not written by a run: move it" in failure
@@ -564,7 +606,7 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
 @pytest.mark.parametrize(
     "options, maps, out, message",
     [
-        ({"labels": "labels"}, "depth", "out", "would both be written to .*images/0: rename one"),
+        ({"labels": "labels"}, "depth", "out", "would both be written to .*labels/0"),
         ({"labels": "other"}, "depth", "out", "labels belong to no picture: other .*other/0.txt"),
         ({"labels": "coco.json"}, "depth", "out", "belong to no .* no image has the file_name 0"),
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
@@ -593,6 +635,16 @@ def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: 
 
 
 # What is stopped
+
+
+def test_two_results_in_one_file_are_refused() -> None:
+    save("all/0.tif", pixels(H, W))
+    with pytest.raises(ValueError, match=r"would both be written to .*maps/0_\w+\.npy: rename one"):
+        degrade(Recipe(WATER, maps="npy"), find_items("all", "depth"), "out")
+    save("all/sheet.jpg", pixels(H, W))
+    with pytest.raises(ValueError, match=r"--sheet and all/sheet\.jpg would both be written"):
+        degrade(Recipe(RandomUnderwater(distance=2)), find_items("all"), "out", sheet=True)
+    assert not Path("out").exists()
 
 
 def test_a_process_that_dies_takes_no_other_job_with_it() -> None:

@@ -225,7 +225,9 @@ def _print_summary(summary: "Summary", out: Path, labels: str | None) -> None:
     print_counts(summary, "pictures", out)
     if labels is not None:
         count, kept = summary.objects
-        print(f"{kept} of {count} labels kept", *summary.notes, sep="\n")
+        print(f"{kept} of {count} labels kept")
+    for note in summary.notes:
+        print(note)
     if summary.blank:
         names = f"{len(summary.blank)} of them, such as {summary.blank[0]}"
         cure = "are distances in another unit? If not, take clearer water by --contrast"

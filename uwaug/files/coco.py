@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from uwaug.files.summary import Result
 
 
+_DIGEST = "uwaug_sha256"  # key of the digest of all other entries of a file that is written
+
+
 @dataclass(frozen=True, eq=False)
 class Coco(Labels):
     """Labels in one JSON file: images by file name, and annotations by the id of their image.
@@ -84,7 +87,8 @@ class Coco(Labels):
 
     def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
         """Write a file of the same name, with the images of the pictures, and a "contrast" in each
-        annotation. Images and annotations of several variants get new numbers.
+        annotation. Images and annotations of several variants get new numbers. A digest tells
+        later whether somebody has edited the file.
         """
         labelled = [picture for picture in pictures if picture.item.name in self.of]
         renumber = len({picture.item.name for picture in labelled}) < len(labelled)
@@ -102,11 +106,30 @@ class Coco(Labels):
                     changes = {"id": number, "image_id": image_id, "contrast": judged.contrast}
                     annotations.append({**entry, **changes})
         content = {**self.rest, "images": images, "annotations": annotations}
-        text = json.dumps(content, ensure_ascii=False)
-        write_labels(out / self.path.name, text.encode(), self.path)
         missing = self.count - len(self.of)
         note = f"{missing} of {self.count} images of {self.path} have no picture here"
-        return [note] if missing else []
+        notes = [note] if missing else []
+        file = out / self.path.name
+        if file.exists() and not (force or file.samefile(self.path) or _is_written(file)):
+            return [*notes, f"{file} stays, as it was edited: force=True (--force) replaces it"]
+        content[_DIGEST] = _digest(content)
+        write_labels(file, json.dumps(content, ensure_ascii=False).encode(), self.path)
+        return notes
+
+
+def _digest(content: Entry) -> str:
+    """Digest of all entries of a file but the digest itself."""
+    rest = {key: value for key, value in content.items() if key != _DIGEST}
+    return hashlib.sha256(json.dumps(rest).encode()).hexdigest()
+
+
+def _is_written(file: Path) -> bool:
+    """True if a file is as a run has written it."""
+    try:
+        content = json.loads(file.read_bytes())
+        return bool(content.get(_DIGEST) == _digest(content))
+    except (ValueError, AttributeError):
+        return False
 
 
 def _matches(path: Path, images: Sequence[Entry], items: Sequence["Item"]) -> dict[str, Entry]:

@@ -20,11 +20,13 @@ _CANDIDATES = 9  # largest number of frames of a film that its draw may be settl
 _DARK_MEAN = 0.1  # 0…1; a darker frame, such as a fade, is no measure of a film's exposure
 
 _SIDES = "left|right|cent(?:er|re)|front|rear|back|top|bottom|[lr]"
-_COUNTED = "(?:image|img|im|view|infra|rgb)[-_ ]?\\d{1,2}|cam(?:era)?[-_ ]?(?:\\d+|[a-d])"
-# what tells the cameras of a rig apart: in names of files, and in names of folders
+_CAMERA = "cam(?:era)?[-_ ]?(?:\\d+|[a-d])"
+_COUNTED = f"(?:image|img|im|view|infra|rgb)[-_ ]?\\d{{1,2}}|{_CAMERA}"
+# what tells the cameras of a rig apart: in names of files, where the frame's number is another, and
+# in names of folders
 _IN_FILES, _IN_FOLDERS = (
     re.compile(rf"(?<![a-z])(?:{words})(?:[-_ ](?:{_SIDES}))*(?![a-z\d])", re.IGNORECASE)
-    for words in (_SIDES, f"{_SIDES}|{_COUNTED}")
+    for words in (rf"{_SIDES}|{_CAMERA}(?=[-_ ]\d)", f"{_SIDES}|{_COUNTED}")
 )
 
 
@@ -163,7 +165,7 @@ class Films:
         poor, reasons = [], []
         for item in candidates:
             try:
-                image, z = self.recipe.read(item)
+                (image, *_), z = self.recipe.read(item)
                 record = self.recipe.transform_of(item.picture).for_clip(draw, image, z)
             except Exception as error:  # as over the picture itself
                 reasons.append(f"{item.name}: {reason_of(error)}")

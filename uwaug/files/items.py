@@ -31,6 +31,7 @@ _UNREAD = {
 }
 """Cures for pictures that are neither read nor written, with the ends of their names."""
 
+_OF_DISKS = ("@eaDir", "@Recycle", "@Recently-Snapshot", "@tmp")  # folders of network disks
 _MAX_DELAY_S = 0.02  # between a picture and its map, as in TUM's own tool
 _STEM = re.compile(r"\{stem(?::([^=}]*)=([^}]*))?\}")
 
@@ -169,8 +170,8 @@ def _files(folder: Path, excluded: frozenset[str]) -> Iterator[Path]:
     """
     excluded |= {os.path.realpath(folder)}
     for path in folder.iterdir():
-        if path.name.startswith(".") or (path.name.startswith("@") and path.is_dir()):
-            continue  # hidden, or of a disk in the network
+        if path.name.startswith(".") or path.name in _OF_DISKS:
+            continue
         if path.name.startswith("Segmentation") and (folder / "JPEGImages").is_dir():
             continue  # Pascal VOC's masks
         if not path.is_dir():
@@ -230,7 +231,8 @@ def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
     bases = [folder / _filled(pattern, stem) for stem in stems]
     paths = [base.with_name(base.name + end) for base in bases for end in ("", *MAP_ENDINGS)]
     # an EXR may be its own map; any other picture matches where the part to replace is not there
-    is_map = any(new and new in stems[0] for _, new in _STEM.findall(pattern))
+    words = [re.escape(new) for _, new in _STEM.findall(pattern) if new]
+    is_map = any(re.search(rf"(?<![^\W_]){word}(?![^\W_])", stems[0]) for word in words)
     picture = None if is_map or path.suffix.lower() == ".exr" else os.path.realpath(path)
     maps = (file for file in filter(Path.is_file, paths) if os.path.realpath(file) != picture)
     return next(maps, bases[0].with_suffix("") if bases[0].suffix in MAP_ENDINGS else bases[0])

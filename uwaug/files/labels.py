@@ -92,8 +92,8 @@ class Labels:
         """Path of a picture in the folder of the run at which trainers find its labels."""
         return name
 
-    def files(self, name: str, place: str, out: Path) -> list[Path]:
-        """Files with the labels of one picture in the folder of the run."""
+    def files(self, place: str, out: Path) -> list[Path]:
+        """Files with the labels of the picture at a place in the folder of the run."""
         return []
 
     def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
@@ -167,14 +167,13 @@ class Folder(Labels):
         above, _, below = f"/{place}".rpartition(f"/{self.pictures}/")
         return above.removeprefix("/"), below.removeprefix("/")
 
-    def files(self, name: str, place: str, out: Path) -> list[Path]:
+    def files(self, place: str, out: Path) -> list[Path]:
         above, below = self.parted(place)
-        path = (out / above / self.folders[0] / below).with_suffix(self.end)
-        return [path] if name in self.of else []
+        return [(out / above / self.folders[0] / below).with_suffix(self.end)]
 
     def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
-        for path in self.files(name, place, out):
-            source = self.of[name]
+        if source := self.of.get(name):
+            (path,) = self.files(place, out)
             write_labels(path, self.without(dropped, source, place), source)
 
 

@@ -86,8 +86,8 @@ class Masks(Folder):
 
 
 def _counts(values: Collection[int]) -> bool:
-    """True if values count classes or objects, so that 255 is none of them."""
-    return any(0 < value < _SMALL_VALUE for value in values)
+    """True if values count classes or objects so that 255 is none of them."""
+    return any(0 < value < _SMALL_VALUE for value in values) and max(values) <= 255
 
 
 def _read(file: Path) -> "tuple[NDArray[Any], NDArray[Any], list[int] | None]":

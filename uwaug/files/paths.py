@@ -12,6 +12,7 @@ PICTURES = ("images", "JPEGImages")
 
 # names of folders for a split
 _SPLIT = re.compile(r"(?:obj_)?(train|val|test)(?:ing|id|idation)?(?:_?(?:data|set))?[\d_]*")
+_NUMBER = re.compile(r"\d{2,}")
 _TIME = re.compile(r"(\d+\.\d{3,9}|\d{13}|\d{16}|\d{19})(?:\.[a-zA-Z]\w*)?")  # s; ms, µs or ns
 
 
@@ -42,7 +43,9 @@ def below(folder: Path, path: str) -> Path | None:
 
 def matched(lines: Sequence[str], pictures: Sequence[Path]) -> dict[Path, list[int]]:
     """The places of the lines that are paths of pictures, also on another machine: the ends are the
-    same, in the name and a folder at least, and not of another split.
+    same, in the name and a folder at least. What comes before is not of another split, nor of
+    another number, as in scene0000_00 and scene0001_00; nor does it differ in folders that other
+    lines name right.
 
     Raises:
         ValueError: if a line may be two pictures.
@@ -57,19 +60,26 @@ def matched(lines: Sequence[str], pictures: Sequence[Path]) -> dict[Path, list[i
         for picture, others in named.get(parts[0], ()) if parts else ():
             pairs = zip(parts, others, strict=False)
             length = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
-            splits = {split_of(p[length : length + 1]) for p in (parts, others)} - {None}
-            if length >= min(2, len(parts)) and len(splits) < 2:
+            before = [folder for p in (parts, others) for folder in p[length : length + 1]]
+            splits = {split_of([folder]) for folder in before} - {None}
+            is_other = len(splits) == 2 or len(before) > len({_NUMBER.sub("", f) for f in before})
+            if length >= min(2, len(parts)) and not is_other:
                 lengths[picture] = length
         best = [picture for picture in lengths if lengths[picture] == max(lengths.values())]
         if len(best) > 1:
             raise ValueError(f"{line} may be {best[0]} or {best[1]}: give pictures of one folder")
         for picture in best:
             matches[picture].append((lengths[picture], place))
-    places = {
-        p: [place for n, place in pairs if n == max(pairs)[0]] for p, pairs in matches.items()
-    }
-    for picture, numbers in places.items():
-        first, *rivals = {tuple(parts_of(lines[place])): lines[place] for place in numbers}.values()
-        if rivals:
-            raise ValueError(f"{picture} may be {first} or {rivals[0]}")
+    lengths_of = {picture: max(ends)[0] for picture, ends in matches.items()}
+    roots = {picture: picture.absolute().parents[n - 1] for picture, n in lengths_of.items()}
+    places = {}
+    for picture, ends in matches.items():
+        numbers = [place for length, place in ends if length == lengths_of[picture]]
+        if not {*roots.values()}.isdisjoint(roots[picture].parents):
+            numbers = [n for n in numbers if len(parts_of(lines[n])) == lengths_of[picture]]
+        rivals = [*{tuple(parts_of(lines[n])): lines[n] for n in numbers}.values()]
+        if len(rivals) > 1:
+            raise ValueError(f"{picture} may be {rivals[0]} or {rivals[1]}")
+        if numbers:
+            places[picture] = numbers
     return places

@@ -5,7 +5,7 @@ import math
 import re
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import tifffile
@@ -33,7 +33,22 @@ _PFM = re.compile(rb"(P[Ff])\s+(\d+)\s+(\d+)\s+(\S+)(?:\r\n|\s)")  # colour or g
 _BIT_DEPTH = 24  # place in a PNG of the byte with the number of bits of a channel
 _ORIENTATION_CHUNKS = (b"eXIf", b"Raw profile type", b"XML:com.adobe.xmp")  # of a PNG
 _PROFILE_TAG = 34675  # of TIFF
+_REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of red, green, blue, white
 _SAME_LEVELS = 2  # by which profiles of sRGB differ, of 255
+
+
+class Picture(NamedTuple):
+    """A picture in a file.
+
+    Attributes:
+        image (3xHxW): its pixels, upright, see `read_picture`.
+        orientation: that of the file by EXIF: 1 is upright, 2…8 were turned or mirrored.
+        profile: colour profile by which it was converted to sRGB; empty without one.
+    """
+
+    image: Tensor
+    orientation: int
+    profile: bytes
 
 
 def read_picture(
@@ -60,7 +75,15 @@ def read_picture(
             error names the file.
         OSError: if there is no such file, or it cannot be read.
     """
-    values = _decoded(Path(path), "RGB")
+    return open_picture(Path(path), color_space, background).image
+
+
+def open_picture(
+    path: Path, color_space: ColorSpace = "srgb", background: str | None = None
+) -> Picture:
+    """As `read_picture`, with what was done to the file's pixels."""
+    file = _decoded(path, "RGB")
+    values, profile = file.values, b""
     if values.dtype not in (np.uint8, np.uint16) and values.dtype.kind != "f":
         got = f"expected 8 or 16 bits without sign, or floating point, got {values.dtype}"
         raise ValueError(f"{path}: {got}")
@@ -69,10 +92,14 @@ def read_picture(
     if values.ndim == 2 or (values.ndim == 3 and values.shape[2] == 2):  # grey, with alpha
         grey = values.reshape(*values.shape[:2], -1)
         values = np.concatenate([grey[..., :1].repeat(3, 2), grey[..., 1:]], 2)
-    if color_space == "srgb" and values.dtype.kind == "u" and (profile := profile_of(Path(path))):
+    if file.is_multiplied and values.ndim == 3 and values.shape[2] == 4:
+        values = _divided(values)
+    if color_space == "srgb" and values.dtype.kind == "u" and _to_srgb(file.profile):
+        profile = file.profile
         values = np.concatenate([_in_srgb(values[..., :3], profile), values[..., 3:]], 2)
+    is_light = path.suffix.lower() == ".exr"
     if values.ndim == 3 and values.shape[2] == 4 and background is not None:
-        values = _before(background, values, Path(path).suffix.lower() == ".exr")
+        values = _before(background, values, is_light)
     if values.ndim != 3 or values.shape[2] != 3:
         got = f"expected a picture in colour (H, W, 3), or grey (H, W), got {values.shape}"
         cure = "save it as RGB, without alpha, or give a background (--set background=white)"
@@ -81,9 +108,9 @@ def read_picture(
         values = values / np.float32(65535)
     elif values.dtype != np.uint8:
         values = values.astype(np.float32)
-    picture = torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
-    is_light = Path(path).suffix.lower() == ".exr" and color_space == "srgb"
-    return linear_to_srgb(picture) if is_light else picture
+    image = torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
+    image = linear_to_srgb(image) if is_light and color_space == "srgb" else image
+    return Picture(image, file.orientation, profile)
 
 
 def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
@@ -106,7 +133,7 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
             median beyond 1000 m; if the unit is unknown; if the file cannot be decoded.
         OSError: if there is no such file, or it cannot be read.
     """
-    values = _decoded(Path(path), "Z")
+    values = _decoded(Path(path), "Z").values
     if values.ndim == 3 and all(np.array_equal(v, values[..., 0].T, True) for v in values.T):
         values = values[..., 0]
     if values.ndim != 2:
@@ -134,6 +161,15 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     return distance
 
 
+def _divided(values: NDArray[Any]) -> NDArray[Any]:
+    """A picture (HxWx4) whose colours are multiplied by alpha, with the colours themselves."""
+    white = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
+    colour, alpha = np.split(values / white, [3], 2)
+    colour = (colour / np.where(alpha, alpha, 1)).clip(0, 1) * white
+    colour = colour if white == 1 else np.rint(colour)
+    return np.concatenate([colour.astype(values.dtype), values[..., 3:]], 2)
+
+
 def _before(background: str, values: NDArray[Any], is_light: bool) -> NDArray[Any]:
     """A picture with alpha (HxWx4) before a colour. The light of an EXR is multiplied by alpha."""
     white = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
@@ -145,22 +181,9 @@ def _before(background: str, values: NDArray[Any], is_light: bool) -> NDArray[An
     return (shares if white == 1 else np.rint(shares * white)).astype(values.dtype)
 
 
-def profile_of(path: Path) -> bytes:
-    """Colour profile of a picture by which it is converted to sRGB; empty without one."""
-    if path.suffix.lower() in (".npy", ".exr"):
-        return b""
-    if path.suffix.lower() in (".tif", ".tiff"):
-        with tifffile.TiffFile(path) as file:
-            profile = file.pages.first.tags.valueof(_PROFILE_TAG)
-    else:
-        with Image.open(path) as image:
-            profile = image.info.get("icc_profile")
-    return bytes(profile) if profile and _to_srgb(bytes(profile)) else b""
-
-
 @lru_cache(maxsize=16)
 def _to_srgb(profile: bytes) -> ImageCms.ImageCmsTransform | None:
-    """Transform from a profile to sRGB; None for sRGB itself, and for other colours than RGB."""
+    """Transform from a profile to sRGB; None without one, for sRGB, and for other colours."""
     try:
         source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         transform = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), "RGB", "RGB")
@@ -195,28 +218,6 @@ def holds_picture(path: Path) -> bool:
     except Exception:  # decoders raise whatever they like; who reads it says what is wrong
         return True
     return any(channel.name.endswith("R") for part in parts for channel in part.header["channels"])
-
-
-def orientation_of(path: Path) -> int:
-    """Orientation of a picture by EXIF: 1 is upright, 2…8 have to be turned or mirrored."""
-    end = path.suffix.lower()
-    if end in (".tif", ".tiff"):
-        with tifffile.TiffFile(path) as file:
-            return _of_tag(file.pages.first)
-    if end in (".npy", ".exr"):
-        return 1
-    if end == ".png" and not any(map(path.read_bytes().__contains__, _ORIENTATION_CHUNKS)):
-        return 1  # else Pillow decodes all of it to find chunks behind
-    with Image.open(path) as image:
-        return _orientation(image)
-
-
-def _of_tag(page: tifffile.TiffPage) -> int:
-    return int(page.tags.valueof(ExifTags.Base.Orientation, 1))
-
-
-def _orientation(image: Image.Image) -> int:
-    return int(image.getexif().get(ExifTags.Base.Orientation, 1))
 
 
 def _upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
@@ -290,26 +291,38 @@ def _ending(path: Path, endings: tuple[str, ...] = ENDINGS) -> str:
     return end
 
 
-def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
-    """Numbers of a file (HxW or HxWxC), without an opaque alpha."""
+class _File(NamedTuple):
+    """What a file holds: numbers (HxW or HxWxC), upright; its orientation, its profile of colours,
+    and whether these are multiplied by alpha.
+    """
+
+    values: NDArray[Any]
+    orientation: int = 1
+    profile: bytes = b""
+    is_multiplied: bool = False
+
+
+def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> _File:
+    """A file's content, without an opaque alpha."""
     end = _ending(path, ENDINGS if channels == "RGB" else (*MAP_ENDINGS, ".jpg", ".jpeg"))
     require_regular(path)
     try:
         if end == ".npy":
             # mapped, so that a header that lies about its size does not fill the memory
-            values = np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+            file = _File(np.array(np.load(path, mmap_mode="r", allow_pickle=False)))
         elif end == ".exr":
-            values = _of_exr(path, channels)
+            file = _File(_of_exr(path, channels))
         elif end in (".npz", ".pfm"):
-            values = _of_npz(path) if end == ".npz" else _of_pfm(path)
+            file = _File(_of_npz(path) if end == ".npz" else _of_pfm(path))
         else:
-            values = _of_tiff(path) if end in (".tif", ".tiff") else _of_pillow(path)
+            file = _of_tiff(path) if end in (".tif", ".tiff") else _of_pillow(path)
     except (ImportError, MemoryError):
         raise
     except Exception as error:  # decoders raise whatever they like over a damaged file
         if isinstance(error, OSError) and error.errno is not None:
             raise
         raise ValueError(f"{path}: cannot be decoded: {error}") from error
+    values = file.values
     if values.dtype.kind not in "uif":
         raise ValueError(f"{path}: expected numbers, got {values.dtype}")
     values = values.astype(values.dtype.newbyteorder("="), copy=False)
@@ -322,7 +335,9 @@ def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
     white = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
     if values.ndim == 3 and values.shape[-1] in (2, 4) and (values[..., -1] == white).all():
         values = values[..., :-1]
-    return values[..., 0] if values.ndim == 3 and values.shape[-1] == 1 else values
+    if values.ndim == 3 and values.shape[-1] == 1:
+        values = values[..., 0]
+    return file._replace(values=values)
 
 
 def _of_npz(path: Path) -> NDArray[Any]:
@@ -344,34 +359,47 @@ def _of_pfm(path: Path) -> NDArray[Any]:
     return values.reshape(shape)[::-1]  # rows from the bottom
 
 
-def _of_pillow(path: Path) -> NDArray[Any]:
+def _of_pillow(path: Path) -> _File:
     with Image.open(path) as image:  # refuses pictures that would fill the memory
         modes = ("RGB", "RGBA", "L", "LA", "I;16", "I;16B")
         if image.mode not in modes or "transparency" in image.info:
             raise ValueError(f"expected RGB or grey, without a palette, got {image.mode}")
         if image.format == "PNG" and (count := getattr(image, "n_frames", 1)) > 1:
             raise ValueError(f"holds {count} pictures: save each in a file of its own")
-        if image.format == "PNG" and image.mode in ("RGB", "RGBA", "LA"):
-            data = path.read_bytes()
-            if data[_BIT_DEPTH] == 16:  # Pillow would drop half of them
-                (codecs,) = require("files", "imagecodecs")
-                return _upright(np.asarray(codecs.png_decode(data)), orientation_of(path))
-        return _upright(np.asarray(image), _orientation(image))
+        is_png = image.format == "PNG" and image.mode in ("RGB", "RGBA", "LA")
+        data = path.read_bytes() if is_png else b""
+        profile = image.info.get("icc_profile") or b""
+        if is_png and data[_BIT_DEPTH] == 16:  # Pillow would drop half of them
+            (codecs,) = require("files", "imagecodecs")
+            values = codecs.png_decode(data)
+            if not any(map(data.__contains__, _ORIENTATION_CHUNKS)):
+                return _File(values, profile=profile)  # else Pillow decodes all to find chunks
+        else:
+            values = np.asarray(image)
+        turn = int(image.getexif().get(ExifTags.Base.Orientation, 1))
+        index = image.getexif().get_ifd(ExifTags.IFD.Interop).get(ExifTags.Interop.InteropIndex)
+        if index == "R03" and not profile:
+            got = "says in its EXIF that it is in Adobe RGB, without a profile"
+            raise ValueError(f"{got}: convert it first, or add the profile")
+        return _File(_upright(values, turn), turn, profile)
 
 
-def _of_tiff(path: Path) -> NDArray[Any]:
+def _of_tiff(path: Path) -> _File:
     with tifffile.TiffFile(path) as file:
-        page = file.pages.first
+        page, count = file.pages.first, sum(not page.is_reduced for page in file.pages)
         kinds = (tifffile.PHOTOMETRIC.RGB, tifffile.PHOTOMETRIC.MINISBLACK)
         if page.photometric not in kinds:
             raise ValueError(f"expected RGB or grey, got {page.photometric}")
         if page.imagewidth * page.imagelength > 2 * (Image.MAX_IMAGE_PIXELS or np.inf):
             raise ValueError(f"{page.imagewidth}×{page.imagelength} px: see PIL.MAX_IMAGE_PIXELS")
-        if (count := file.series[0].size // page.size) > 1:
+        if (count := max(count, file.series[0].size // page.size)) > 1 or page.is_reduced:
             raise ValueError(f"holds {count} pictures: save each in a file of its own")
         values = page.asarray()
         values = np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
-        return _upright(values, _of_tag(page))
+        turn = int(page.tags.valueof(ExifTags.Base.Orientation, 1))
+        profile = bytes(page.tags.valueof(_PROFILE_TAG) or b"")
+        is_multiplied = tifffile.EXTRASAMPLE.ASSOCALPHA in page.extrasamples
+        return _File(_upright(values, turn), turn, profile, is_multiplied)
 
 
 def _of_exr(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
@@ -380,6 +408,11 @@ def _of_exr(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
     """
     (exr,) = require("files", "OpenEXR")
     parts = exr.File(str(path)).parts
+    primaries = [part.header.get("chromaticities", _REC_709) for part in parts]
+    if channels == "RGB" and not np.allclose(primaries, _REC_709, atol=2e-3):
+        cure = "convert it first, as by oiiotool --colorconvert"
+        got = ", ".join(f"{number:.4g}" for number in primaries[0])
+        raise ValueError(f"its primaries are {got}, and not those of Rec. 709: {cure}")
     layers = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
     colours = [name for name in layers if layers[name].ndim == 3]
     if channels == "RGB":
@@ -388,8 +421,9 @@ def _of_exr(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
         names += [name for name in views if len(views) == 1 or name.startswith("Composite.")]
     else:
         lengths = [n for n in layers if f"{n[:-1]}X" not in layers and "Denois" not in n]
-        names = [name for name in lengths if name == "Z" or "depth" in name.lower()]
-        names += [name for name in lengths if name.endswith(".Z") or len(layers) == 1]
-    if not names:
+        names = [name for name in lengths if name == "Z"]
+        names = names or [name for name in lengths if "depth" in name.lower()]
+        names = names or [name for name in lengths if name.endswith(".Z") or len(layers) == 1]
+    if not names or (channels == "Z" and len(names) > 1):
         raise ValueError(f"expected one layer of {channels}, got {', '.join(layers)}")
     return np.asarray(layers[names[0]])

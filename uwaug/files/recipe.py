@@ -12,7 +12,7 @@ from uwaug._support import checks
 from uwaug._support.codec import plain
 from uwaug.distance.sources import Metres
 from uwaug.files.items import Item, there
-from uwaug.files.pictures import metres_of, read_distance, read_picture, write_picture
+from uwaug.files.pictures import Picture, metres_of, open_picture, read_distance, write_picture
 from uwaug.formation.colour import linear_to_srgb
 from uwaug.optics.point_spread import FOCAL_LENGTH
 from uwaug.transforms.draws import Record
@@ -127,10 +127,10 @@ class Recipe:
         """The transform in the colour space of a picture's file: an EXR holds linear light."""
         return self._in_light if picture.suffix.lower() == ".exr" else self.transform
 
-    def read(self, item: Item) -> tuple[Tensor, Tensor | None]:
-        """The picture (3xHxW) of an item, and its map (1xHxW) where it has one."""
+    def read(self, item: Item) -> tuple[Picture, Tensor | None]:
+        """The picture of an item, and its map (1xHxW) where it has one."""
         space = self.transform_of(item.picture).development.color_space
-        return read_picture(item.picture, space, self.background), self.read_map(item)
+        return open_picture(item.picture, space, self.background), self.read_map(item)
 
     def write(self, path: Path, image: Tensor, picture: Path) -> None:
         """Write the result (3xHxW) of the transform of a picture."""

@@ -14,6 +14,9 @@ _KEYS = ("uwaug", "torch", "numba", "name", "variant", "picture", "distance")
 COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
 """Columns of the index of a run."""
 
+SHEET_COMMENT = b"drawn by uwaug"
+"""JPEG comment of the sheet of a run."""
+
 
 def record_path(result: Path) -> Path:
     """Path of the record of a result."""
@@ -55,9 +58,10 @@ def places_of(folder: Path) -> list[str] | None:
 
 
 def is_written(result: Path) -> bool:
-    """True if a run has written a file: a record lies beside it, or an index beside a sheet."""
-    if result.name == "sheet.jpg" and places_of(result.parent) is not None:
-        return True
+    """True if a run has written a file: a record lies beside it, or a sheet says so."""
+    if result.name == "sheet.jpg" and result.is_file():
+        with result.open("rb") as file:
+            return SHEET_COMMENT in file.read(256)
     return record_of(result) is not None
 
 

@@ -22,6 +22,7 @@ from uwaug.files.pictures import read_picture
 from uwaug.files.pool import on_processes
 from uwaug.files.record import (
     digest,
+    is_written,
     places_of,
     reason_of,
     record_of,
@@ -82,12 +83,15 @@ class Work:
 
     def files(self, job: Job) -> list[Path]:
         """Files that are written beside a result and its record."""
-        return [] if job.labels is None else job.labels.files(job.item.name, job.place, self.out)
+        if job.labels is None or job.item.name not in job.labels.of:
+            return []
+        return job.labels.files(job.place, self.out)
 
     def vouched(self, job: Job, record: dict[str, Any]) -> list[Path]:
         """Files beside a result of which its record says that a run has written them."""
-        has_labels = job.labels is not None and record.get("labels") is not None
-        return Work.files(self, job) if has_labels else []
+        if job.labels is None or record.get("labels") is None:
+            return []
+        return job.labels.files(job.place, self.out)
 
     def read(self, path: Path) -> Tensor:
         """Read a result as a picture (3xHxW), for the sheet."""
@@ -194,9 +198,12 @@ def run(
         workers, ray, sheet, beside, progress: as for `degrade`.
         index: write index.csv.
     """
-    require_apart(jobs, work.out)
+    require_apart(work, jobs, sheet=sheet)
+    notes = []
     if index:
-        _require_folder_of_run(jobs, work.out, sheet=sheet)
+        if stale := _require_folder_of_run(jobs, work.out, sheet=sheet):
+            got = f"{len(stale)} pictures of an earlier run, such as {stale[0]}, stay in {work.out}"
+            notes.append(f"{got}, and are not in its index.csv any more")
         for folder in {(work.out / job.place).parent for job in jobs}:
             remove_left(folder)  # parts of files of a killed run
     work.out.mkdir(parents=True, exist_ok=True)
@@ -213,7 +220,7 @@ def run(
     for result in stream:
         results.append(result)
         say(len(results), len(jobs))
-    summary = Summary(results)
+    summary = Summary(results, notes)
     if index:
         summary.write_index(work.out / "index.csv")
     variants: dict[Path, list[Path]] = {}
@@ -238,38 +245,45 @@ def require_free(out: Path, *, resume: bool, force: bool) -> None:
         raise FileExistsError(f"{out} is not empty: choose another folder; {cure}")
 
 
-def _require_folder_of_run(jobs: Sequence[Job], out: Path, *, sheet: bool) -> None:
-    """Refuse files that no run has written where those of all pictures go, and the folder of a run
-    of other pictures, whose labels would be lost.
+def _require_folder_of_run(jobs: Sequence[Job], out: Path, *, sheet: bool) -> list[str]:
+    """Refuse files that no run has written where those of all pictures go, the folder of a run of
+    other pictures, whose labels would be lost, and one with labels where there shall be none.
+    Returns the pictures of an earlier run that this one does not make.
     """
     labels = next((job.labels for job in jobs if job.labels is not None), None)
     places = places_of(out)
-    names = ["index.csv", *["sheet.jpg"] * sheet] if places is None else []
+    records = [record_of(out / place) or {} for place in places or ()]
+    names = ["index.csv"] if places is None else []
+    names += ["sheet.jpg"] if sheet and not is_written(out / "sheet.jpg") else []
+    others = {*(places or ())} - {job.place for job in jobs}
+    stale = sorted(place for place in others if (out / place).exists())
     if labels is not None:
-        others = {*(places or ())} - {job.place for job in jobs}
-        if stale := sorted(place for place in others if (out / place).exists()):
+        if stale:
             got = f"{out} holds {len(stale)} pictures that this run does not make"
             cure = "remove them, or choose another folder"
             raise FileExistsError(f"{got}, such as {stale[0]}: {cure}")
-        records = (record_of(out / place) or {} for place in places or ())
         if not any("labels" in record for record in records):
             names += labels.shared
+    elif any(record.get("labels") for record in records):
+        cure = "give --labels, or choose another folder"
+        raise FileExistsError(f"{out} holds labels of an earlier run, which would stay: {cure}")
     for file in (file for name in names for file in out.glob(name)):
         raise FileExistsError(f"{file} {_OWN}")
+    return stale
 
 
-def require_apart(jobs: Sequence[Job], out: Path) -> None:
+def require_apart(work: Work, jobs: Sequence[Job], *, sheet: bool = False) -> None:
     """Refuse two results in one file, and to write over a file that is read."""
-    files = [file for job in jobs for file in (job.item.picture, job.item.distance)]
-    inputs = {os.path.realpath(file) for file in files if file is not None}
-    outputs: dict[str, Path] = {}
+    read = [file for job in jobs for file in (job.item.picture, job.item.distance)]
+    inputs = {os.path.realpath(file) for file in read if file is not None}
+    outputs: dict[str, Path] = {os.path.realpath(work.out / "sheet.jpg"): Path("--sheet")}
+    outputs = outputs if sheet else {}
     for job in jobs:
-        output = os.path.realpath(out / job.place)
-        if output in inputs:
-            raise ValueError(f"{output} is read, and would be written over: another folder?")
-        # files of labels are found by a picture's name without its end
-        key = output if job.labels is None else os.path.splitext(output)[0]
-        if key in outputs:
-            pair = f"{outputs[key]} and {job.item.picture}"
-            raise ValueError(f"{pair} would both be written to {key}: rename one")
-        outputs[key] = job.item.picture
+        for file in (work.out / job.place, *work.files(job)):
+            output = os.path.realpath(file)
+            if output in inputs:
+                raise ValueError(f"{output} is read, and would be written over: another folder?")
+            if output in outputs:
+                pair = f"{outputs[output]} and {job.item.picture}"
+                raise ValueError(f"{pair} would both be written to {output}: rename one")
+            outputs[output] = job.item.picture

@@ -51,7 +51,7 @@ class Result(NamedTuple):
 @dataclass(frozen=True)
 class Summary:
     """Result of a run: the `Result` of each picture, in the order of items and variants, and notes
-    on the labels.
+    on its labels and its folder.
     """
 
     results: Sequence[Result]

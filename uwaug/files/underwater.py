@@ -18,7 +18,7 @@ from uwaug.files.films import Films, frames_of
 from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
-from uwaug.files.pictures import ENDINGS, orientation_of, profile_of, write_picture
+from uwaug.files.pictures import ENDINGS, Picture, write_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
@@ -99,7 +99,7 @@ def degrade(
         results = [result for result in summary.results if result.status != "failed"]
         # without results, those of an earlier run keep their lists
         notes = labels.finish(results, out, force=force) if results else []
-        summary = replace(summary, notes=[_labels_note(labels, items), *notes])
+        summary = replace(summary, notes=[*summary.notes, _labels_note(labels, items), *notes])
     return summary
 
 
@@ -146,10 +146,13 @@ def replay(
         if file and digest(file) not in (None, source["sha256"]):
             raise ValueError(f"{file} has changed since {record} was written")
         files.append(file)
+    for file, before in entries["files"].items():
+        if digest(Path(file)) != before:
+            raise ValueError(f"{file} is gone, or has changed since {record} was written")
     item = Item(entries["name"], *files)
-    require_apart([Job(item, output.name)], output.parent)
+    require_apart(Work(output.parent, resume=False, force=force), [Job(item, output.name)])
     with one_thread():
-        image, z = recipe.read(item)
+        (image, *_), z = recipe.read(item)
         degraded = recipe.transform_of(item.picture).transform(image, z, entries["params"])
         recipe.write(output, degraded, item.picture)
 
@@ -170,11 +173,13 @@ class _Underwater(Work):
     def __init__(self, recipe: Recipe, out: Path, *, resume: bool, force: bool) -> None:
         super().__init__(out, resume=resume, force=force)
         self.recipe, self._plain = recipe, codec.to_plain(recipe)
+        self._files = {str(file): digest(file) for file in _files_of(self._plain["transform"])}
         self._films = Films(recipe)
 
     def made_of(self, job: Job) -> dict[str, Any]:
         space = self.recipe.transform_of(job.item.picture).development.color_space
         sources = {**super().made_of(job), "recipe": self._plain, "color_space": space}
+        sources["files"] = self._files
         if job.labels is not None:
             sources["labels"] = job.labels.digest(job.item.name)
         if job.frame is not None:
@@ -185,7 +190,8 @@ class _Underwater(Work):
 
     def make(self, job: Job) -> tuple[tuple[Tensor, Truth | None], dict[str, Any]]:
         item, labels = job.item, job.labels
-        image, z = self.recipe.read(item)
+        picture, z = self.recipe.read(item)
+        image = picture.image
         transform = self.recipe.transform_of(item.picture)
         if job.frame is None:
             params = self.recipe.drawn(item.name, job.variant)
@@ -206,7 +212,7 @@ class _Underwater(Work):
             "reached": reached and reached._asdict(),
             "truth": truth and truth.record(),
             "objects": [label._asdict() for label in objects],
-            "asked": _questions(item, transform, image, z, labels),
+            "asked": _questions(item, transform, picture, z, labels),
         }
 
     def write(self, path: Path, result: tuple[Tensor, Truth | None], item: Item) -> None:
@@ -243,6 +249,15 @@ class _Underwater(Work):
         return f"{distance}contrast {record['contrast']:.2f}\n{water}"
 
 
+def _files_of(value: Any) -> Iterator[Path]:
+    """Files that options name, such as those of waters and cameras."""
+    if isinstance(value, (dict, list, tuple)):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _files_of(part)
+    elif isinstance(value, str) and Path(value).suffix and Path(value).is_file():
+        yield Path(value)
+
+
 def _short_name(water: str | dict[str, float]) -> str:
     """Name of a water, or its contents to two digits, so that a label holds them."""
     if isinstance(water, str):
@@ -251,17 +266,20 @@ def _short_name(water: str | dict[str, float]) -> str:
 
 
 def _questions(
-    item: Item, transform: RandomUnderwater, image: Tensor, z: Tensor | None, labels: Labels | None
+    item: Item,
+    transform: RandomUnderwater,
+    picture: Picture,
+    z: Tensor | None,
+    labels: Labels | None,
 ) -> list[str]:
     """Keys of `ASKED` that apply to a picture."""
-    source = transform.distance
-    is_srgb = transform.development.color_space == "srgb"
+    source, image = transform.distance, picture.image
     may_be_12_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
     may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
     doubts = {
-        "turned": (z is not None or labels is not None) and orientation_of(item.picture) > 1,
+        "turned": (z is not None or labels is not None) and picture.orientation > 1,
         "dark": may_be_12_bits and image.is_floating_point() and float(image.max()) < _DARK_LIGHT,
-        "profile": is_srgb and bool(profile_of(item.picture)),
+        "profile": bool(picture.profile),
         "alone": may_have_holes and z is not None and bool(of_shares(z).any()),
     }
     return [key for key, applies in doubts.items() if applies]

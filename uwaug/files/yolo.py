@@ -30,12 +30,12 @@ class Yolo(Folder):
 
     Attributes:
         description: content of the data.yaml.
-        described_by: another .yaml that takes its place.
+        told: sentences on where classes are from, if that may be wrong.
         splits: splits of each picture that the description names for it.
     """
 
     description: Entry = field(default_factory=dict)
-    described_by: Path | None = None
+    told: Sequence[str] = ()
     splits: Mapping[str, list[str]] = field(default_factory=dict)
 
     reads = "a folder of YOLO's .txt"
@@ -59,25 +59,41 @@ class Yolo(Folder):
         names; and with names in a separate file.
         """
         folders = self.path, self.path.parent, self.path.parent.parent
-        files = [folder / name for folder in (*folders, samples[0].parent) for name in _CLASS_FILES]
-        names = next((_lines(file) for file in files if file.is_file()), [])
-        names = "\n".join(names).rstrip().splitlines()
+        places = dict.fromkeys([*folders, *(file.parent for file in self.of.values())])
+        files = [place / name for place in places for name in _CLASS_FILES]
+        lists = {f: "\n".join(_lines(f)).rstrip().splitlines() for f in files if f.is_file()}
+        source, names = next(iter(lists.items()), (None, []))
         classes: Entry = {"names": names} if names else {}
         for folder in folders:
-            if (file := folder / "data.yaml").is_file():
-                return replace(self, description=classes | _read(file))
             files = [*folder.glob("*.yaml"), *folder.glob("*.yml")]
             contents = {file: content for file in files if "names" in (content := _read(file))}
+            if (own := folder / "data.yaml").is_file():
+                contents = {own: _read(own)}
             if len(contents) > 1:
                 raise ValueError(f"{folder}: more than one .yaml has names: call one data.yaml")
             for file, content in contents.items():
-                return replace(self, description=classes | content, described_by=file)
+                source = file if "names" in content else source
+                described = replace(self, description=classes | content)
+                return described._with_told(source, lists, is_own=file == own)
         counts = {len(numbers) for file in samples if (numbers := _first(file))}
         if len(counts) == 1 and min(counts) > 6:
             got = f"{samples[0]}: objects of {min(counts)} numbers are polygons, or have keypoints"
             cure = "say kpt_shape: [how many, 2 or 3], or of polygons nothing but names"
             raise ValueError(f"{got}: {cure}, in {self.path / 'data.yaml'}")
-        return replace(self, description=classes)
+        return replace(self, description=classes)._with_told(source, lists, is_own=True)
+
+    def _with_told(
+        self, source: Path | None, lists: Mapping[Path, list[str]], *, is_own: bool
+    ) -> Self:
+        """The labels with a sentence on where classes are from, if they may be from elsewhere."""
+        names = self.description.get("names", [])
+        names = [*names.values()] if isinstance(names, dict) else names
+        others = [str(file) for file, own in lists.items() if own != names]
+        is_far = source is not None and source.parent == self.path.parent.parent
+        if not others and is_own and not is_far:
+            return self
+        rest = f", not of {others[0]}" if others else ""
+        return replace(self, told=[f"classes are those of {source}{rest}"])
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         from uwaug.files.pixels import of_box, of_polygons
@@ -172,12 +188,12 @@ class Yolo(Folder):
         """
         import yaml
 
-        notes = [f"classes are those of {self.described_by}"] if self.described_by else []
-        splits, is_described = {"train": "", "val": ""}, False
+        notes = [*self.told]
+        splits, is_described = {"train": "", "val": ""}, any(self.splits.values())
         for picture in pictures:
             stated = self.splits[picture.item.name]
-            is_described |= bool(stated)
-            for split in dict.fromkeys(stated) or [split_of(picture.place.split("/")[:-1]) or ""]:
+            folders = [] if is_described else picture.place.split("/")[:-1]
+            for split in dict.fromkeys(stated) or [split_of(folders) or ""]:
                 splits[split] = f"{splits.get(split, '')}./{picture.place}\n"
         rest = splits.pop("", "")
         if not is_described:
