@@ -377,9 +377,8 @@ def _readers(found: Results) -> str:
     return (
         f"**Nets that read markers**: {nets} net{'s' * (nets > 1)} an arm, {found['steps']} steps "
         f"of 64 crops of boards in {found['scenes']} pictures. Shares of the film's tags that are "
-        "read, of 30 that each might be (chance is .03), and differences as above. Nets are told "
-        "where a tag is, OpenCV finds it. In brackets of the head: how many there are.\n\n"
-        + table(["trained on", *head, "boards in air"], rows)
+        "read, of 30 that each might be, and differences as above. Nets are told where a tag is, "
+        "OpenCV finds it:\n\n" + table(["trained on", *head, "boards in air"], rows)
     )
 
 
