@@ -38,6 +38,7 @@ SCALES = (0.8, 1.25)  # times that, in training
 SHIFT = 0.1  # of the side of a crop, in training
 VIEWS = 2  # of each tag, turned anyhow
 DRAWS = 3  # of each photograph, each with boards of its own
+OTHER = 1000  # seed of the boards of a test, which no net is trained by
 
 PLACES = 3  # a side, of what convolutions leave
 STEPS = 2000
@@ -64,11 +65,13 @@ class Tag(NamedTuple):
     quad: Array  # 4x2: corners, px
 
 
-def scenes_of(kit: Any, photographs: Sequence[Array]) -> tuple[list[Scene], list[Tensor]]:
+def scenes_of(
+    kit: Any, photographs: Sequence[Array], seed: int
+) -> tuple[list[Scene], list[Tensor]]:
     """Photographs with boards, and distances (1xHxW, m): a board lies upon the nearest fifth of
     what it covers, but never beyond `FARTHEST`.
     """
-    rng, scenes, maps = np.random.default_rng(0), [], []
+    rng, scenes, maps = np.random.default_rng(seed), [], []
     for photograph in [*photographs] * DRAWS:
         small = cv2.resize(photograph, SIZE, interpolation=cv2.INTER_AREA)
         air, quads, names = kit.tag_scene(small, rng, ids=range(IDS), **BOARDS)
@@ -151,8 +154,8 @@ def measured(
     of clear ones, and of all in stretched green; and of boards in air. Photographs are those to
     train on, and others for these boards. What a net reads is kept in `answered`, and asked once.
     """
-    scenes = scenes_of(kit, photographs[0])
-    dry, of_dry = degraded(ARMS["no water"](), *scenes_of(kit, photographs[1]), 0)
+    scenes = scenes_of(kit, photographs[0], 0)
+    dry, of_dry = degraded(ARMS["no water"](), *scenes_of(kit, photographs[1], OTHER), OTHER)
     tags = [tag for _, of in frames for tag in of]
     film = np.stack([picture for frame in frames for picture in crops_of(*frame)])
     pictures = torch.from_numpy(np.concatenate([film, green(film)])).permute(0, 3, 1, 2)
@@ -209,10 +212,10 @@ def crops_of(picture: Array, tags: Sequence[Tag]) -> list[Array]:
 def choose(kit: Any, folder: Path) -> None:
     """What the dry arm reads of boards in photographs that it has not seen, by step."""
     train, val = (
-        scenes_of(kit, [sample.image for sample in kit.load(f"land/{part}", folder)])
-        for part in ("train", "val")
+        scenes_of(kit, [sample.image for sample in kit.load(f"land/{part}", folder)], seed)
+        for part, seed in (("train", 0), ("val", OTHER))
     )
-    crops, names = degraded(ARMS["no water"](), *val, 0)
+    crops, names = degraded(ARMS["no water"](), *val, OTHER)
     for rate in RATES:
         read = asked(ARMS["no water"], train, crops, rate, 0)
         print(f"{rate}: {(read == names.numpy()).mean():.3f}", flush=True)

@@ -40,7 +40,7 @@ def test_boards_are_planes_upon_the_nearest_of_what_they_cover(
         return photograph, quads, np.array([3, 7])
 
     photograph = np.zeros((480, 640, 3), np.uint8)
-    scenes, maps = readers.scenes_of(SimpleNamespace(tag_scene=tag_scene), [photograph])
+    scenes, maps = readers.scenes_of(SimpleNamespace(tag_scene=tag_scene), [photograph], 0)
     assert len(scenes) == len(maps) == readers.DRAWS
     (metres,) = maps[0]
     board = metres[75:126, 75:126]
