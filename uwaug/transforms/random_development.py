@@ -45,7 +45,7 @@ class RandomDevelopment(Noun):
 
     exposure: Range = number((-1.3, 0.6), *DOMAINS["exposure"])
     metered: bool = True
-    white_balance: Range = number((-0.5, 1.0), *DOMAINS["white_balance"])
+    white_balance: Range = number((-0.8, 0.6), *DOMAINS["white_balance"])
     saturation: Range = number((0.85, 1.35), *DOMAINS["saturation"])
     gamut: Range = number((0.7, 1.0), *DOMAINS["gamut"])
     tone: Range = number((0.9, 1.6), *DOMAINS["tone"])
