@@ -110,17 +110,17 @@ def scores(answers: Array, labels: Array, weights: Array) -> Array:
 def table(answers: Mapping[str, list[Array]], crops: Crops, reference: str) -> dict[str, Any]:
     """Of each arm: its mean score and those of its nets, the parts that choose and judge, recalls
     of more than two classes, and the difference to the reference with intervals of 95 %: over
-    blocks of pictures, and over whole films. Neither knows of other nets.
+    blocks of pictures, and over whole films, both over nets, too.
     """
 
-    def mean_scores(name: str, weights: Array) -> Array:
-        return np.mean([scores(net, crops.labels, weights) for net in answers[name]], 0)
+    def scores_of(name: str, weights: Array) -> Array:
+        return np.stack([scores(net, crops.labels, weights) for net in answers[name]])
 
     parts = {"score": np.ones(len(crops.labels)), "choose": ~crops.judges, "judge": crops.judges}
     rows: dict[str, dict[str, Any]] = {}
     for name, nets in answers.items():
         row = {
-            part: float(mean_scores(name, of[None] * 1.0)[0]) if of.any() else None
+            part: float(scores_of(name, of[None] * 1.0).mean()) if of.any() else None
             for part, of in parts.items()
         }
         rows[name] = {**row, "nets": [score(net, crops.labels) for net in nets]}
@@ -132,7 +132,7 @@ def table(answers: Mapping[str, list[Array]], crops: Crops, reference: str) -> d
         row["difference"] = row["score"] - rows[reference]["score"]
     for kind, units in (("blocks", crops.blocks), ("films", crops.films)):
         weights = resampled_units(units)
-        resampled = {name: mean_scores(name, weights) for name in answers}
+        resampled = {name: over_nets(scores_of(name, weights)) for name in answers}
         for name, row in rows.items():
             apart = resampled[name] - resampled[reference]
             row[kind] = np.nanpercentile(apart, (2.5, 97.5)).tolist()
@@ -147,19 +147,29 @@ def resampled_units(units: Any, count: int = RESAMPLES) -> Array:
     return often[:, unit.reshape(-1)].astype(float)
 
 
+def over_nets(scores: Array) -> Array:
+    """Mean scores (R) of resamples of nets, other nets in each column (KxR). Nets of other arms are
+    resampled alike, as nets of one seed have the same order of pictures.
+    """
+    picked = np.random.default_rng(0).integers(0, len(scores), scores.shape)
+    return np.take_along_axis(scores, picked, 0).mean(0)
+
+
 def compared(scores: Mapping[str, Array], reference: str) -> dict[str, Any]:
     """Of each arm: its mean score, those of its nets, the difference to the reference, and
-    intervals of 95 % of both. `scores` of each arm's nets, first of all there is, then of resamples
-    (Kx(1+R)). Intervals know nothing of other nets.
+    intervals of 95 % of both, over resamples and nets. `scores` of each arm's nets, first of all
+    there is, then of resamples (Kx(1+R)).
     """
+    means = {arm: of_nets[:, 0].mean() for arm, of_nets in scores.items()}
+    resampled = {arm: over_nets(of_nets[:, 1:]) for arm, of_nets in scores.items()}
     rows = {}
     for arm, of_nets in scores.items():
-        mean, apart = of_nets.mean(0), of_nets.mean(0) - scores[reference].mean(0)
+        apart = resampled[arm] - resampled[reference]
         rows[arm] = {
-            "score": mean[0],
+            "score": means[arm],
             "nets": of_nets[:, 0].tolist(),
-            "interval": np.percentile(mean[1:], (2.5, 97.5)).tolist(),
-            "difference": apart[0],
-            "blocks": np.percentile(apart[1:], (2.5, 97.5)).tolist(),
+            "interval": np.percentile(resampled[arm], (2.5, 97.5)).tolist(),
+            "difference": means[arm] - means[reference],
+            "blocks": np.percentile(apart, (2.5, 97.5)).tolist(),
         }
     return rows

@@ -73,9 +73,15 @@ def test_green_is_stretched_and_all_else_forgotten() -> None:
 
 
 def test_arms_are_compared_by_the_means_of_their_nets() -> None:
-    scores = {"a": np.array([[0.5, 0.4, 0.6], [0.7, 0.6, 0.8]]), "b": np.array([[0.2, 0.2, 0.2]])}
-    row = net.compared(scores, "b")["a"]
+    scores = {name: np.array(nets)[:, None].repeat(401, 1) for name, nets in NETS.items()}
+    row = net.compared(scores, "one")["two"]
     assert row["nets"] == [0.5, 0.7]
     assert (row["score"], row["difference"]) == pytest.approx((0.6, 0.4))
-    assert row["interval"] == pytest.approx([0.505, 0.695])
-    assert row["blocks"] == pytest.approx([0.305, 0.495])
+    # one net twice, or the other
+    assert row["interval"] == pytest.approx([0.5, 0.7])
+    assert row["blocks"] == pytest.approx([0.3, 0.5])
+    # nets of one seed are resampled together
+    assert net.compared(scores, "paired")["two"]["blocks"] == pytest.approx([0.1, 0.1])
+
+
+NETS = {"two": [0.5, 0.7], "one": [0.2], "paired": [0.4, 0.6]}
