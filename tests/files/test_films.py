@@ -10,7 +10,7 @@ from filing import metres, pixels, save
 
 from uwaug import RandomDevelopment, RandomUnderwater, Sensor
 from uwaug.files import Recipe, degrade, find_items, read_picture, read_record
-from uwaug.files.films import frames_of, rigs_of
+from uwaug.files.films import frames_of, rigs_of, unjoined
 from uwaug.files.items import Item
 
 NS = "14036365797635{}.png"
@@ -82,6 +82,9 @@ def test_what_is_said_of_films() -> None:
     got = "image_2 and image_3 are taken for cameras of a rig: one water, metered on image_2"
     assert got in said("image_3/0.png image_2/0.png")
     assert "metered on s/b" in said("s/b/0.png s/c/9.png", "b,c")
+    left_and_right = [Item(name, Path(name)) for name in ("s/left/0.png", "s/right/0.png")]
+    assert unjoined(left_and_right).startswith("s/left and s/right look like cameras of a rig, ")
+    assert unjoined(left_and_right[:1]) == ""
     with pytest.raises(ValueError, match=r"rig \(--rig\): no folder of pictures is called d"):
         said("b/0.png c/0.png", "b,d")
     with pytest.raises(ValueError, match=r"rig \(--rig\) is of films"):

@@ -766,6 +766,19 @@ def test_voc_without_a_size(tmp_path: Path, size: str) -> None:
     assert len(judged(opened(tmp_path / "voc", "1.jpg"), "1.jpg", LEFT, None)) == 2
 
 
+def test_lists_of_a_class_that_is_lost(tmp_path: Path) -> None:
+    write(tmp_path / "voc/Annotations/1.xml", VOC)
+    for name, line in (("train", "1"), ("near_train", "1  1"), ("far_train", "1  1")):
+        write(tmp_path / f"voc/ImageSets/Main/{name}.txt", f"{line}\n")
+    labelled(tmp_path / "voc", ["1.jpg"], tmp_path / "out")
+    written = tmp_path / "out/ImageSets/Main"
+    assert {path.stem: path.read_text() for path in written.iterdir()} == {
+        "train": "1\n",
+        "near_train": "1  1\n",
+        "far_train": "1 -1\n",
+    }
+
+
 def test_voc_of_variants_and_lists(tmp_path: Path) -> None:
     lists = {"train": "reef 1\n", "val": "2\n", "fish_train": "reef 1  1\n2 -1\n9  1\n"}
     for own, text in {**lists, "test": "9\n"}.items():

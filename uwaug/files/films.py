@@ -88,6 +88,17 @@ def rigs_of(frames: Mapping[Item, Frame]) -> str:
     return f"{count_of_all}; {got}; --rig none if they are none"
 
 
+def unjoined(items: Sequence[Item]) -> str:
+    """A sentence on pictures of a rig that are no film; "" without a rig."""
+    films = {frame.candidates: None for frame in frames_of(items).values()}
+    for cameras in films:
+        folders = [*dict.fromkeys(os.path.dirname(item.name) for item in cameras)]
+        if len(folders) > 1:
+            got = f"{folders[0]} and {folders[1]} look like cameras of a rig"
+            return f"{got}, but each picture has a water of its own; --sequence gives all the same"
+    return ""
+
+
 def _without_camera(path: str, camera: re.Pattern[str]) -> str:
     """A path with * in place of words that tell cameras apart. A capital begins a word, too."""
     return camera.sub("*", re.sub(r"(?<=[a-z\d])(?=[A-Z])", " ", path))

@@ -14,7 +14,7 @@ from uwaug._support.threads import one_thread
 from uwaug.distance.doubts import REVERSED, doubts, evidence
 from uwaug.distance.sources import Inverse, Metres, Relative
 from uwaug.distance.unknown import NO_RANGE, in_words, of_metres, of_shares
-from uwaug.files.films import frames_of, rigs_of
+from uwaug.files.films import frames_of, rigs_of, unjoined
 from uwaug.files.items import Item, delay_of, find_items
 from uwaug.files.pictures import read_picture
 from uwaug.files.recipe import Recipe
@@ -46,6 +46,8 @@ def prepare(
         frames = frames_of(items, recipe.rig)
         items = list(dict.fromkeys(frame.candidates[0] for frame in frames.values()))
         sentences += filter(None, [rigs_of(frames)])
+    else:
+        sentences += filter(None, [unjoined(items)])
     samples = _samples(recipe, items[:: -(-len(items) // _SAMPLE_COUNT) or 1])
     reasons = [sample.reason for sample in samples if sample.reason]
     sentences += _doubts(recipe, samples)

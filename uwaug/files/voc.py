@@ -58,12 +58,20 @@ class Voc(Folder):
         return ElementTree.tostring(root, encoding="unicode").encode()
 
     def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
-        """Write the lists that lie above the labels, else one for each split."""
+        """Write the lists that lie above the labels, else one for each split. In the list of a
+        class, pictures that have lost all its objects have none.
+        """
         trees: dict[str, dict[str, list[str]]] = {}
+        lost: set[tuple[str, str]] = set()
         for picture in pictures:
             above, place = self.parted(splitext(picture.place)[0])
             _, name = self.parted(splitext(picture.item.name)[0])
             trees.setdefault(above, defaultdict(list))[name].append(place)
+            if any(not judged.kept for judged in picture.objects):
+                entries = _read(self.of[picture.item.name]).findall("object")
+                kept = [entries[int(j.key) - 1].findtext("name") for j in picture.objects if j.kept]
+                names = {entry.findtext("name", "") for entry in entries}
+                lost |= {(place, class_name) for class_name in names.difference(kept)}
         notes = []
         for tree, places in trees.items():
             folders = (folder / tree / _LISTS for folder in (self.path, self.path.parent))
@@ -75,7 +83,12 @@ class Voc(Folder):
                 lists.setdefault(f"{split}.txt", []).append(name)
             for list_name, lines in lists.items():
                 pairs = [_parted(line.strip(), places) for line in lines]
-                text = "".join(f"{p}{sign}\n" for name, sign in pairs for p in places.get(name, ()))
+                class_name = list_name.rpartition("_")[0]
+                text = "".join(
+                    f"{place}{' -1' if sign and (place, class_name) in lost else sign}\n"
+                    for name, sign in pairs
+                    for place in places.get(name, ())
+                )
                 if not text:
                     notes.append(f"no picture is in the list {list_name}")
                 source = files[0].with_name(list_name) if files else None
