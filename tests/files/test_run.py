@@ -290,7 +290,7 @@ def test_a_water_file_that_has_changed() -> None:
     Path("water.csv").write_text(rows.replace(".6", ".9"))
     again = degrade(recipe, items()[:2], "out", resume=True)
     assert statuses(again) == ["failed", "written"]
-    assert "was made with another files" in again.failures[0]
+    assert "was made with another options_file" in again.failures[0]
     with pytest.raises(ValueError, match=r"water\.csv is gone, or has changed since out"):
         replay("out/0.png.json", "again.png")
     Path("water.csv").write_text(rows)

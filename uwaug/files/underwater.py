@@ -146,7 +146,7 @@ def replay(
         if file and digest(file) not in (None, source["sha256"]):
             raise ValueError(f"{file} has changed since {record} was written")
         files.append(file)
-    for file, before in entries["files"].items():
+    for file, before in entries["options_file"].items():
         if digest(Path(file)) != before:
             raise ValueError(f"{file} is gone, or has changed since {record} was written")
     item = Item(entries["name"], *files)
@@ -179,7 +179,7 @@ class _Underwater(Work):
     def made_of(self, job: Job) -> dict[str, Any]:
         space = self.recipe.transform_of(job.item.picture).development.color_space
         sources = {**super().made_of(job), "recipe": self._plain, "color_space": space}
-        sources["files"] = self._files
+        sources["options_file"] = self._files
         if job.labels is not None:
             sources["labels"] = job.labels.digest(job.item.name)
         if job.frame is not None:
