@@ -190,8 +190,7 @@ class Bench(NamedTuple):
     @classmethod
     def of(cls, folder: Path) -> "Bench":
         """Of a kit."""
-        sys.path.insert(0, str(folder))
-        kit, yolox = (importlib.import_module(name) for name in ("kit", "yolox_nano"))
+        kit, yolox = (module(folder, name) for name in ("kit", "yolox_nano"))
         scenes, rng = scenes_of(kit.load("land/train", folder)), np.random.default_rng(0)
         maps = [torch.from_numpy(made_up(x.image, rng)).float()[None] for x in scenes * DRAWS]
         tests = {name: kit.load(name, folder, one=0) for name in TESTS}
@@ -298,6 +297,12 @@ def choose(kit: Path) -> None:
     for rate in RATES:
         print(rate, flush=True)
         asked(bench, "no water", rate, 0)
+
+
+def module(folder: Path, name: str = "kit") -> Any:
+    """A module of a kit."""
+    sys.path.insert(0, str(folder))
+    return importlib.import_module(name)
 
 
 def parser(about: str | None) -> argparse.ArgumentParser:

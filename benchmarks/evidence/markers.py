@@ -10,9 +10,7 @@ Small nets of `benchmarks.evidence.readers` read the film, too. The kit is that 
 `benchmarks.evidence.detector`.
 """
 
-import importlib
 import json
-import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -29,7 +27,7 @@ from scipy.special import expit
 
 import uwaug
 from benchmarks.evidence import readers
-from benchmarks.evidence.detector import NAMES, parser
+from benchmarks.evidence.detector import NAMES, module, parser
 from benchmarks.evidence.net import resampled_units
 from benchmarks.evidence.readers import Tag
 from benchmarks.evidence.tasks import Array
@@ -146,6 +144,7 @@ def main(
     folder: Path, arms: Sequence[str] = NAMES, nets: int = 1, answered: Path | None = None
 ) -> dict[str, Any]:
     """Read, train, compare, print, save and draw. What a net reads is kept in `answered`."""
+    torch.set_num_threads(1)
     kit = module(folder)
     groups = json.loads((folder / "choose/groups.json").read_text())["tags"]
     truth, frames = kit.tags("choose/tags", folder), kit.load("choose/tags", folder)
@@ -192,13 +191,6 @@ def main(
     save("markers", results)
     drawn(curves)
     return results
-
-
-def module(folder: Path) -> Any:
-    """What loads a kit."""
-    torch.set_num_threads(1)
-    sys.path.insert(0, str(folder))
-    return importlib.import_module("kit")
 
 
 if __name__ == "__main__":

@@ -212,6 +212,7 @@ def crops_of(picture: Array, tags: Sequence[Tag]) -> list[Array]:
 
 def choose(kit: Any, folder: Path) -> None:
     """What the dry arm reads of boards in photographs that it has not seen, by step."""
+    torch.set_num_threads(1)
     train, val = (
         scenes_of(kit, [sample.image for sample in kit.load(f"land/{part}", folder)], seed)
         for part, seed in (("train", 0), ("val", OTHER))

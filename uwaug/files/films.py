@@ -76,27 +76,30 @@ def frames_of(items: Sequence[Item], rig: str = "auto") -> dict[Item, Frame]:
 
 def rigs_of(frames: Mapping[Item, Frame]) -> str:
     """A sentence on films that share a water, or do not; "" for one film of one camera."""
-    films: dict[Item, dict[str, None]] = {}
-    for item, frame in frames.items():
-        films.setdefault(frame.candidates[0], {})[os.path.dirname(item.name) or "."] = None
-    cameras = max(films.values(), key=len)
+    films = _folders_of(frames)
     count_of_all = f"{len(films)} films, each in its own water" if len(films) > 1 else "one film"
-    if len(cameras) == 1:
+    first, *others = max(films, key=len)
+    if not others:
         return f"{count_of_all}: are some by one rig? --rig FOLDER,FOLDER" if len(films) > 1 else ""
-    first, second, *_ = cameras
-    got = f"{first} and {second} are taken for cameras of a rig: one water, metered on {first}"
+    got = f"{first} and {others[0]} are taken for cameras of a rig: one water, metered on {first}"
     return f"{count_of_all}; {got}; --rig none if they are none"
 
 
 def unjoined(items: Sequence[Item]) -> str:
     """A sentence on pictures of a rig that are no film; "" without a rig."""
-    films = {frame.candidates: None for frame in frames_of(items).values()}
-    for cameras in films:
-        folders = [*dict.fromkeys(os.path.dirname(item.name) for item in cameras)]
-        if len(folders) > 1:
-            got = f"{folders[0]} and {folders[1]} look like cameras of a rig"
-            return f"{got}, but each picture has a water of its own; --sequence gives all the same"
-    return ""
+    folders = max(_folders_of(frames_of(items)), key=len, default=[])
+    if len(folders) < 2:
+        return ""
+    got = f"{folders[0]} and {folders[1]} look like cameras of a rig"
+    return f"{got}, but each picture has a water of its own; --sequence gives all the same"
+
+
+def _folders_of(frames: Mapping[Item, Frame]) -> list[list[str]]:
+    """Folders of the cameras of each film."""
+    films: dict[Item, dict[str, None]] = {}
+    for item, frame in frames.items():
+        films.setdefault(frame.candidates[0], {})[os.path.dirname(item.name) or "."] = None
+    return [*map(list, films.values())]
 
 
 def _without_camera(path: str, camera: re.Pattern[str]) -> str:

@@ -72,10 +72,10 @@ def matched(lines: Sequence[str], pictures: Sequence[Path]) -> dict[Path, list[i
             matches[picture].append((lengths[picture], place))
     lengths_of = {picture: max(ends)[0] for picture, ends in matches.items()}
     roots = {picture: picture.absolute().parents[n - 1] for picture, n in lengths_of.items()}
-    places = {}
+    places, outer = {}, {*roots.values()}
     for picture, ends in matches.items():
         numbers = [place for length, place in ends if length == lengths_of[picture]]
-        if not {*roots.values()}.isdisjoint(roots[picture].parents):
+        if not outer.isdisjoint(roots[picture].parents):
             numbers = [n for n in numbers if len(parts_of(lines[n])) == lengths_of[picture]]
         rivals = [*{tuple(parts_of(lines[n])): lines[n] for n in numbers}.values()]
         if len(rivals) > 1:

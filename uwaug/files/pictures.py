@@ -376,9 +376,10 @@ def _of_pillow(path: Path) -> _File:
                 return _File(values, profile=profile)  # else Pillow decodes all to find chunks
         else:
             values = np.asarray(image)
-        turn = int(image.getexif().get(ExifTags.Base.Orientation, 1))
-        index = image.getexif().get_ifd(ExifTags.IFD.Interop).get(ExifTags.Interop.InteropIndex)
-        if index == "R03" and not profile:
+        exif = image.getexif()
+        turn = int(exif.get(ExifTags.Base.Orientation, 1))
+        interop = exif.get_ifd(ExifTags.IFD.Interop)
+        if interop.get(ExifTags.Interop.InteropIndex) == "R03" and not profile:
             got = "says in its EXIF that it is in Adobe RGB, without a profile"
             raise ValueError(f"{got}: convert it first, or add the profile")
         return _File(_upright(values, turn), turn, profile)

@@ -61,7 +61,8 @@ def is_written(result: Path) -> bool:
     """True if a run has written a file: a record lies beside it, or a sheet says so."""
     if result.name == "sheet.jpg" and result.is_file():
         with result.open("rb") as file:
-            return SHEET_COMMENT in file.read(256)
+            if SHEET_COMMENT in file.read(256):
+                return True
     return record_of(result) is not None
 
 

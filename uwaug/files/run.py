@@ -252,7 +252,7 @@ def _require_folder_of_run(jobs: Sequence[Job], out: Path, *, sheet: bool) -> li
     """
     labels = next((job.labels for job in jobs if job.labels is not None), None)
     places = places_of(out)
-    records = [record_of(out / place) or {} for place in places or ()]
+    records = (record_of(out / place) or {} for place in places or ())
     names = ["index.csv"] if places is None else []
     names += ["sheet.jpg"] if sheet and not is_written(out / "sheet.jpg") else []
     others = {*(places or ())} - {job.place for job in jobs}
@@ -276,8 +276,7 @@ def require_apart(work: Work, jobs: Sequence[Job], *, sheet: bool = False) -> No
     """Refuse two results in one file, and to write over a file that is read."""
     read = [file for job in jobs for file in (job.item.picture, job.item.distance)]
     inputs = {os.path.realpath(file) for file in read if file is not None}
-    outputs: dict[str, Path] = {os.path.realpath(work.out / "sheet.jpg"): Path("--sheet")}
-    outputs = outputs if sheet else {}
+    outputs = {os.path.realpath(work.out / "sheet.jpg"): Path("--sheet")} if sheet else {}
     for job in jobs:
         for file in (work.out / job.place, *work.files(job)):
             output = os.path.realpath(file)
