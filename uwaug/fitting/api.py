@@ -217,7 +217,7 @@ def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
             "forward from what is not; G and veil do not depend on it."
         )
     else:
-        sentences.append(f"Width law: {model.medium(theta).point_spread}, at b̄ of the medium.")
+        sentences.append(f"Width law: {model.medium(theta).width_law}, at b̄ of the medium.")
     rates = {
         colour: float(G)
         for colour, G in zip(COLOURS, c.G, strict=True)

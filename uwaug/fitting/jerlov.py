@@ -22,7 +22,8 @@ from uwaug.fitting.solve import Objective, loss, reweighed, roughly_weighed, sol
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
+from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.view import WIDE, View
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.surfaces import Surfaces
 from uwaug.optics.water import Water
@@ -49,7 +50,7 @@ class TypeModel(Model):
 
     Attributes:
         water: the type.
-        camera, surfaces, g, point_spread: as of `fit_water`.
+        camera, surfaces, g, point_spread, view: as of `fit_water`.
         depth: vertical depth, m; None if it is fitted.
         geometry: distances and sizes of the pictures.
     """
@@ -59,6 +60,7 @@ class TypeModel(Model):
     surfaces: Surfaces
     g: float
     point_spread: PointSpread
+    view: View
     depth: float | None
     geometry: Geometry
     offset: float = _OFFSET
@@ -108,8 +110,8 @@ class TypeModel(Model):
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""
-        medium = self.medium(theta)
-        soft = pixels.softened(self.point_spread.shape, medium.width(pixels.z, pixels.size))
+        medium = self.medium(theta).in_pixels(pixels.size, self.view)
+        soft = pixels.softened(self.point_spread.shape, medium.width(pixels.z))
         return medium.image(pixels.z, pixels.clean, soft)
 
     def slopes(self, theta: Array, pixels: Pixels) -> Array:
@@ -159,6 +161,7 @@ def fit_water(
     vertical_depth: float | None = None,
     g: float = Scattering.CALIBRATED.g,
     point_spread: PointSpread | None = None,
+    view: View | float = WIDE,
     color_space: ColorSpace = "srgb",
     pixels: int = 5000,
     seed: int = 0,
@@ -178,9 +181,10 @@ def fit_water(
         vertical_depth: depth of the scene below the surface, m; None: it is fitted, 0…30 m.
         g: share of the scattered light that leaves the line of sight; μ is 1.5·g. One picture does
             not tell it from the water.
-        point_spread: width law; None: `PointSpread.calibrated` of a view 60° wide, whose focal
-            length is .866 of the width. Pictures by the paper's model need `PointSpread.paper()`,
-            g = .2 and grey surfaces.
+        point_spread: width law; None: `PointSpread.calibrated`. Pictures by the paper's model need
+            `PointSpread.paper()`, g = .2 and grey surfaces.
+        view: of the camera, a `uwaug.View` or its angle in degrees, which the width of the blur
+            follows. Of another angle than the picture's, no type may explain it.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
 
     Returns:
@@ -199,7 +203,7 @@ def fit_water(
         >>> clean, z = torch.rand(3, 60, 80), torch.linspace(1, 6, 4800).reshape(1, 60, 80)
         >>> water = uwaug.Medium.from_water("5C", g=0.05, surfaces="spectral")
         >>> observed = uwaug.Underwater(water)(clean, z)
-        >>> options = {"point_spread": water.point_spread, "pixels": 500, "progress": False}
+        >>> options = {"point_spread": uwaug.PointSpread.paper(), "pixels": 500, "progress": False}
         >>> uwaug.fitting.fit_water(clean, observed, z, **options).model
         '5C'
     """
@@ -211,12 +215,11 @@ def fit_water(
         checks.within("vertical_depth", vertical_depth, *checks.DOMAIN["vertical_depth"])
     pictures = Pictures.of(clean, observed, distance, color_space)
     geometry = pictures.geometry
-    law = point_spread
-    if law is None:
-        law = PointSpread.calibrated(FOCAL_LENGTH * geometry.size[1])
+    law = PointSpread.calibrated() if point_spread is None else point_spread
+    view = View.of(view)
     checks.instance("point_spread", law, PointSpread)
     models = [
-        TypeModel(Water.jerlov(name), camera, kind, g, law, vertical_depth, geometry)
+        TypeModel(Water.jerlov(name), camera, kind, g, law, view, vertical_depth, geometry)
         for kind in (get_args(Surfaces) if surfaces == "auto" else (surfaces,))
         for name in JERLOV_TYPES
     ]

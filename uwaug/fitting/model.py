@@ -21,7 +21,8 @@ from uwaug._support.types import Array, Shape
 from uwaug.blur.stack import mixed, node_slopes, node_weights
 from uwaug.fitting.data import Geometry, Pixels
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.point_spread import Law, PointSpread
+from uwaug.optics.view import WIDE
 from uwaug.optics.scattering import Scattering
 
 COLOURS = ("red", "green", "blue")
@@ -294,14 +295,16 @@ class CoefficientModel(Model):
         b = float((beta - G).mean()) / (1 - Scattering.CALIBRATED.g)
         b = max(b, _MIN_LENGTHS / reference)
         scale = c.width / (b * reference) ** c.exponent
-        law = PointSpread(scale, c.exponent, self.spec.shape, float(min(self.geometry.size)))
+        unit = Law(unit="paper").pixels(self.geometry.size, WIDE)
+        law = PointSpread(float(scale / unit), float(c.exponent), self.spec.shape, "paper")
         return Medium.from_coefficients(beta, G, veil, b_mean=b, point_spread=law, light=light)
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""
         medium, soft = self.medium(theta), pixels.clean
         if self.spec.shape is not None:
-            soft = pixels.softened(self.spec.shape, medium.width(pixels.z, pixels.size))
+            widths = medium.in_pixels(pixels.size, WIDE).width(pixels.z)
+            soft = pixels.softened(self.spec.shape, widths)
         return medium.image(pixels.z, pixels.clean, soft)
 
     def slopes(self, theta: Array, pixels: Pixels) -> Array:

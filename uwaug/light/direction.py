@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from uwaug.light.rays import Rays
+from uwaug.optics.view import View
 
 T = TypeVar("T", bound=Any)
 
@@ -35,16 +35,16 @@ RISE = 0.8
 """Share K_d/G of the attenuation of daylight in that of the veil."""
 
 
-def veil_factor(pitch: float | Tensor | Sequence[float], z: Tensor, view: float) -> Tensor:
+def veil_factor(pitch: float | Tensor | Sequence[float], z: Tensor, view: View) -> Tensor:
     """Factor of daylight's veil in each row of pictures (B or 1, 1, H, 1).
 
     Args:
         pitch (number or B): angle of the camera's axis above the horizon, degrees.
         z (Bx1xHxW tensor): a map of the pictures.
-        view: horizontal angle of view, degrees.
+        view: of the camera.
     """
     angles = torch.as_tensor(pitch).to(z).reshape(-1, 1, 1, 1) * (math.pi / 180)
-    return factor_of(angles.sin(), angles.cos(), Rays.of(z, view).y)
+    return factor_of(angles.sin(), angles.cos(), view.rays(z).y)
 
 
 def factor_of(sine: T, cosine: T, down: T) -> T:
