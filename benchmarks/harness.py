@@ -238,8 +238,7 @@ def banded_medium(water: str, wavelengths: Sequence[float]) -> Medium:
         signal_weights=weights * light,
         veil_weights=weights * veil[:, None],
         notes=(),
-        bands=(),
-    )
+    ).without_lamps()
 
 
 def scene(size: int, batch: int = 1) -> tuple[Tensor, Tensor]:

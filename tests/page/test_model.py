@@ -209,7 +209,7 @@ def test_what_is_left_of_contrast(page: Page, every_band: None) -> None:
     page.use(settings)
     lights = "Array.from(scene.place, p => lightAt(p, water, scene.K, tables))"
     detail, surface, veil = np.array(page(lights)).T
-    rise = np.array(page("Array.from(water.rise)")).repeat(WIDTH)
+    rise = np.array(page("Array.from(water.rise)"))
     shown = detail / (surface + rise * veil)
     # of the nearest place in the table
     assert shown == pytest.approx(left.flatten().numpy(), abs=3e-3)

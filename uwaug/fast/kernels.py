@@ -745,8 +745,8 @@ def _rise(t: Any, rays: Any, n: int) -> None:
             factors[x] = _1
         return
     for x in range(n):
-        Y = s[x + TILE]
-        rise = (rays.sine - Y * rays.cosine) / np.sqrt(_1 + Y * Y)
+        X, Y = s[x], s[x + TILE]
+        rise = (rays.sine - Y * rays.cosine) / np.sqrt(_1 + X * X + Y * Y)
         less = _1 - rays.rise * min(rise, rays.most)
         factors[x] = _1 / (less * less)
 

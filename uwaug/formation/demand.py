@@ -51,6 +51,9 @@ _LEARNED_MARGIN = 1.1
 missing at its very end.
 """
 
+_NEAR_SHARE = 0.02
+"""Share by which a width may leave a plan before it shows."""
+
 _WIDEST_SIDES = 8
 """Widest blur, in longest sides: wider ones all give the mean."""
 
@@ -87,6 +90,11 @@ class BlurDemand:
         """True if a plan for this demand serves another one of the same law."""
         wide_enough = self.low <= other.low and other.high <= self.high
         return wide_enough and self.blur_tolerance <= other.blur_tolerance
+
+    def holds(self, other: "BlurDemand") -> bool:
+        """True if the widths of another demand of the same law lie within this one's, or near."""
+        low, high = self.low * (1 - _NEAR_SHARE), self.high * (1 + _NEAR_SHARE)
+        return other.high == 0 or (low <= other.low and other.high <= high)
 
     def plan(self, size: Size, *, shared: bool = False) -> BlurPlan:
         """The plan for an image of (height, width) `size`.

@@ -86,13 +86,12 @@ def form(
         if plan is None:
             plan = _plan(z, medium, setting.light, gain, tolerance)
         soft = blurred_as_seen(J, z, medium, plan, blur)
-    batch = max(len(J), len(z), len(medium))
     # after the gain: the camera is metered without snow, which changes nothing else in a picture
-    T = setting.snowing(T, medium, z, metres, batch)
+    T = setting.snowing(T, medium, z, metres, J)
     largest = headroom(image) if color_space == "srgb" else 1.0
     sensor, noise = development.noise, () if normals is None else (normals,)
     if sensor is not None and not noise:
-        noise = (sensor.normals(batch, size, z),)
+        noise = (sensor.normals(max(len(J), len(z), len(medium)), size, z),)
 
     def stored(z: Tensor, J: Tensor, soft: Tensor, *noise: Tensor) -> Tensor:
         arriving = medium.image(z, J, soft, T)
@@ -166,8 +165,7 @@ def terms_of(
     T = setting.curves(medium, z, metres)
     gain = setting.development.gain(J, z, medium, T)
     soft = blurred_as_seen(J, z, medium, _plan(z, medium, setting.light, gain, tolerance))
-    batch = max(len(J), len(z), len(medium))
-    T = setting.snowing(T, medium, z, metres, batch) or medium.curves(z)
+    T = setting.snowing(T, medium, z, metres, J) or medium.curves(z)
     return T, medium.parts(z, J, soft, T), gain
 
 

@@ -46,7 +46,7 @@ class Setting:
         medium: Medium,
         z: Tensor,
         metres: Tensor | None = None,
-        batch: int = 1,
+        J: Tensor | None = None,
     ) -> Curves | None:
         """These curves with the medium's particles, see `uwaug.light.snow.snowing`."""
-        return snowing(T, medium, self.light, z, self.view, metres, batch=batch)
+        return snowing(T, medium, self.light, z, self.view, metres, J)

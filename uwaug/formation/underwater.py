@@ -220,6 +220,10 @@ class Underwater(nn.Module):
         if not self.demand.covers(self._demand_of(medium)):
             self._plan_anew()
 
+    def plans_for(self, medium: Medium) -> bool:
+        """True if the widths of another medium of this law lie within the plan."""
+        return self.demand is None or self.demand.holds(self._demand_of(medium))
+
     def _demand_of(self, medium: Medium, margin: float = 1.0) -> BlurDemand:
         assert self.distance_range is not None
         medium = medium if self.light is None else self.light.planned(medium)

@@ -93,8 +93,7 @@ def snowing(
     z: Tensor,
     view: View,
     metres: Tensor | None = None,
-    *,
-    batch: int = 1,
+    J: Tensor | None = None,
 ) -> Curves | None:
     """Add the light of the medium's particles to the veil of a picture's curves.
 
@@ -103,7 +102,7 @@ def snowing(
         medium: of B or 1 rows.
         light: lamps; None for daylight.
         z, view, metres: as for `Light.curves`.
-        batch: number of pictures, where they share a map and a medium.
+        J (Bx3xHxW tensor): pictures that may share a map and a medium.
     """
     if not medium.snow:
         return T
@@ -111,7 +110,7 @@ def snowing(
         raise RuntimeError("marine snow cannot be compiled: take medium.with_snow(None)")
     T = medium.curves(z) if T is None else T
     layers, metres = [], z if metres is None else metres
-    for n in range(max(len(z), len(medium), batch)):
+    for n in range(max(len(z), len(medium), 1 if J is None else len(J))):
         scene = metres[n % len(metres)]
         particles = flakes(medium[n % len(medium)], light, z[n % len(z)], view, scene)
         layer = T.veil.new_zeros(3, *z.shape[-2:])
