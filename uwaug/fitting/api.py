@@ -129,7 +129,7 @@ def fit(
         if color_space == "srgb":
             say("trying encoded values")
             encoded_notes = encoded_haze_notes(winner, gain == "free", seed)
-        medium = winner.model.medium(winner.solution.theta)
+        medium = winner.model.medium(winner.model.coefficients(winner.solution.theta))
         result = result_of(winner, candidates, winner.model.spec.name, medium, pictures)
     first = (*_model_notes(winner, candidates), *encoded_notes)
     return replace(result, notes=(*first, *result.notes, *_doubts(winner, result.parameters)))
@@ -217,7 +217,7 @@ def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
             "forward from what is not; G and veil do not depend on it."
         )
     else:
-        sentences.append(f"Width law: {model.medium(theta).point_spread}, at b̄ of the medium.")
+        sentences.append(f"Width law: {model.medium(c).point_spread}, at b̄ of the medium.")
     rates = {
         colour: float(G)
         for colour, G in zip(COLOURS, c.G, strict=True)
