@@ -27,8 +27,6 @@ from uwaug.fast.tables import (
     Doubles,
     Floats,
     Indices,
-    LampsTable,
-    MediumTable,
     RaysTable,
     StackTable,
     WaterTable,

@@ -205,7 +205,9 @@ def draw_width_laws(scene: Scene) -> "Figure":
         (axes[7], "Paper's law", paper, RGB[2]),
         (axes[8], "Calibrated law", calibrated, RGB[0]),
     ):
-        columns.append((label, Underwater(medium, None, view=scene.view)(scene.image, scene.distance)))
+        columns.append(
+            (label, Underwater(medium, None, view=scene.view)(scene.image, scene.distance))
+        )
         light = decoded(scene.image, "srgb")
         forward = form_image(light, scene.distance, medium, view=scene.view).forward
         show(axis, linear_to_srgb(forward), f"{label}, forward scatter alone")

@@ -23,9 +23,9 @@ from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.view import WIDE, View
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.surfaces import Surfaces
+from uwaug.optics.view import WIDE, View
 from uwaug.optics.water import Water
 
 _VISIBLE_CONTRAST = 0.02  # share of the contrast that is left at the visibility
@@ -35,7 +35,6 @@ _START_DEPTHS = (0.5, 3.0, 10.0)  # vertical depths, m
 _MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
 # Multiples of a type's contents, from pure water to clear types within the tables' error.
 _MIN_CONTENTS, _MAX_CONTENTS = 1e-3, 1e3
-_THETA_STEP = 1e-5  # of a difference quotient
 _RESULT_TOLERANCE = 0.002  # of the medium of a result
 # Linear light. Media and blurs of the default tolerance are off by .0007 RMS, and half of a step
 # of 8 bits is .002: of each colour about so much is alike everywhere.
@@ -111,22 +110,8 @@ class TypeModel(Model):
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""
         medium = self.medium(theta).in_pixels(pixels.size, self.view)
-        soft = pixels.softened(self.point_spread.shape, medium.width(pixels.z))
+        soft = pixels.stacks[self.point_spread.shape].softened(medium.width(pixels.z))
         return medium.image(pixels.z, pixels.clean, soft)
-
-    def slopes(self, theta: Array, pixels: Pixels) -> Array:
-        """Derivatives of the 3·N values by θ (3·N x numbers), by differences."""
-        light, columns = self.render(theta, pixels), []
-        for i, (name, bound) in enumerate(self.bounds.items()):
-            if name == "gain":  # a logarithm
-                columns.append(light)
-                continue
-            step = _THETA_STEP if theta[i] + _THETA_STEP <= bound.high else -_THETA_STEP
-            neighbour = theta.copy()
-            neighbour[i] += step
-            difference = self.render(neighbour, pixels) - light
-            columns.append(difference / (neighbour[i] - theta[i]))
-        return torch.stack(columns, -1).reshape(-1, len(columns)).numpy()
 
     @property
     def quantities(self) -> list[Quantity]:

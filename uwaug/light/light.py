@@ -170,9 +170,7 @@ class Light:
             checks.within("pitch", self.pitch, -90.0, 90.0)
             object.__setattr__(self, "pitch", float(cast(float, self.pitch)))
 
-    def curves(
-        self, medium: Medium, z: Tensor, view: View, metres: Tensor | None = None
-    ) -> Curves:
+    def curves(self, medium: Medium, z: Tensor, view: View, metres: Tensor | None = None) -> Curves:
         """Light of a white scene that reaches the camera at each pixel: unscattered, scattered
         forward, and the veil. In place of `Medium.curves`; gradients pass to distances, medium and
         pitch.

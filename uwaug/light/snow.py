@@ -50,7 +50,9 @@ def flakes(
     height, width = z.shape[-2:]
     focal, middle = view.focal(width), view.middle((height, width))
     # of a view whose axis lies aside, the part to one side of it stands for both
-    ends = [max(at + 0.5, side - 0.5 - at) for at, side in zip(middle, (width, height), strict=True)]
+    ends = [
+        max(at + 0.5, side - 0.5 - at) for at, side in zip(middle, (width, height), strict=True)
+    ]
     particles = snow.particles(ends[0] / focal, ends[1] / focal)
     if not len(particles.z):
         return None

@@ -58,8 +58,8 @@ from uwaug.optics.surfaces import (
     Surfaces,
     as_matrices,
     measure,
-    reflectances,
     nine_rows,
+    reflectances,
     row_of,
     through_camera,
     white,
@@ -644,7 +644,9 @@ class Medium:
         """The law of the widths and its numbers, in words."""
         if not bool((self.scale != 0).any()):
             return "no blur"
-        unit = {"paper": "px at 518 px short side", "focal": "focal lengths"}.get(self.law.unit, "px")
+        unit = {"paper": "px at 518 px short side", "focal": "focal lengths"}.get(
+            self.law.unit, "px"
+        )
         scale, exponent = _short(self.scale), _short(self.exponent)
         return f"{self.law.shape} σ = {scale}·(b̄ z)^{exponent} {unit}"
 
@@ -658,6 +660,7 @@ OF_LAMPS = tuple(name[5:] for name in Medium.TENSORS if name.startswith("lamp_")
 """Tensors that a medium has twice, for daylight and for lamps."""
 
 _OF_WIDTHS = ("b_mean", "scale", "exponent")
+
 
 def _short(numbers: Tensor) -> str:
     """The first numbers of a tensor (B), in words."""

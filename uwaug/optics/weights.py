@@ -2,8 +2,6 @@
 
 from typing import NamedTuple
 
-import numpy as np
-
 from uwaug._support.types import Array
 from uwaug.optics.point_spread import LENGTHS
 

@@ -19,9 +19,9 @@ from uwaug.optics.camera import load_camera, response_at
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.jerlov import IN_WORDS, JERLOV_TYPES
 from uwaug.optics.point_spread import LENGTHS, PointSpread
-from uwaug.optics.view import WIDE
 from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.surfaces import reflectances
+from uwaug.optics.view import WIDE
 from uwaug.optics.water import LEAST_LOSS, Water, eye
 from uwaug.transforms import random_water
 from uwaug.transforms.appearance import WATER_FEATURES
@@ -82,7 +82,12 @@ def tables() -> dict[str, Any]:
         "sensor": response_at(camera, axis),
         "reflectances": reflectances(axis),
         "farthest": FARTHEST,
-        "law": {"scale": law.scale * WIDE.focal(1), "exponent": law.exponent, "least": least, "most": most},
+        "law": {
+            "scale": law.scale * WIDE.focal(1),
+            "exponent": law.exponent,
+            "least": least,
+            "most": most,
+        },
         "luminance": LUMINANCE,
         "reflectance": _REFLECTANCE,
         "dimmest": random_water.DIMMEST,

@@ -35,6 +35,7 @@ from uwaug.transforms.scenes import Scenes, scenes_of
 SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 """Contrast at the scene's median distance, by grade of severity."""
 
+
 @codec.plain
 @dataclass(init=False, eq=False, repr=False)
 class RandomUnderwater(SampleTransform):
