@@ -58,7 +58,7 @@ def test_what_the_blur_brings() -> None:
 @pytest.mark.parametrize("factor", [0.7, 2.5])
 def test_a_wider_or_narrower_law_is_worse(factor: float) -> None:
     def changed(focal_px: float) -> PointSpread:
-        law = PointSpread.calibrated(focal_px)
+        law = PointSpread(0.03 * focal_px, 0.62, "exponential")
         return replace(law, scale=law.scale * factor)
 
     assert np.mean(errors(changed, G)) > 1.05 * np.mean(errors(PointSpread.calibrated, G))

@@ -27,6 +27,7 @@ from uwaug import (
 )
 from uwaug._support import codec
 from uwaug.formation.image import form
+from uwaug.formation.setting import Setting
 from uwaug.optics.snow import COUNTED, SIZES, Particles
 
 BETA, G, AMBIENT = (0.5, 0.3, 0.2), (0.3, 0.2, 0.1), (0.4, 0.6, 0.8)
@@ -98,9 +99,8 @@ def test_its_light_is_lost_in_the_denser_water_of_a_field(single) -> None:
     black, metres = far().new_zeros(1, 3, *SIZE), far()
 
     def added(density: float) -> Tensor:
-        scene = {"color_space": "linear", "metres": metres}
         without, with_it = (
-            form(black, density * metres, medium, **scene)
+            form(black, density * metres, Setting(medium, color_space="linear"), metres=metres)
             for medium in (WATER, WATER.with_snow(SNOW))
         )
         return (with_it - without)[0].sum((1, 2))
@@ -193,15 +193,18 @@ def test_the_loops_draw_the_same(light: str, water: str, camera: str) -> None:
     image, metres = 0.4 * picture(*SIZE), 0.3 + 4 * rand(1, 1, *SIZE, dtype=torch.float32)
     z = metres * (0.7 + 0.6 * rand(1, 1, *SIZE, dtype=torch.float32, seed=2))
     medium, lit, development = WATERS[water].to(torch.float32), LIGHTS[light], CAMERAS[camera]
-    assert fast.can(image, z, medium, lit, development)
-    ours = form(image, z, medium, development, light=lit, metres=metres)
+    setting = Setting(medium, lit, development)
+    assert fast.can(image, z, setting)
+    ours = form(image, z, setting, metres=metres)
     exact = form(
-        *(image.double(), z.double(), medium.to(torch.float64), development),
-        light=lit,
+        image.double(),
+        z.double(),
+        replace(setting, medium=medium.to(torch.float64)),
         metres=metres.double(),
     )
     torch.testing.assert_close(ours.double(), exact, rtol=0, atol=2e-5)
-    without = form(image, z, medium.with_snow(None), development, light=lit, metres=metres)
+    clear = replace(setting, medium=medium.with_snow(None))
+    without = form(image, z, clear, metres=metres)
     assert (ours - without)[0].max() > 0.02
 
 

@@ -65,8 +65,8 @@ def twin_of(settings: dict[str, Any]) -> uwaug.RandomUnderwater:
         water = ",".join(f"{name}={settings[name]}" for name in names)
     elif not settings["share"]:
         water = settings["water"]
-    law = uwaug.PointSpread.calibrated(0.866 * WIDTH)
-    blur = uwaug.PointSpread(law.scale * settings["blur"], law.exponent, law.shape)
+    law = uwaug.PointSpread.calibrated()
+    blur = uwaug.PointSpread(law.scale * settings["blur"], law.exponent, law.shape, law.unit)
     return uwaug.RandomUnderwater(
         uwaug.RandomWater(
             water,

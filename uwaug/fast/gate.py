@@ -57,7 +57,7 @@ def can(image: Tensor, z: Tensor, setting: Setting) -> bool:
 def _has_its_sums(medium: Medium) -> bool:
     """True if the curves of a medium, which may be of a subclass, are its sums."""
     kind = type(medium)
-    names = ("sums", "curves", "image", "brightened", "under_lamp")
+    names = ("sums", "curves", "image", "brightened", "under_lamp", "width", "weights")
     return kind is Medium or all(getattr(kind, n) is getattr(Medium, n) for n in names)
 
 

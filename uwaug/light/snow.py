@@ -50,10 +50,11 @@ def flakes(
     height, width = z.shape[-2:]
     focal, middle = view.focal(width), view.middle((height, width))
     # of a view whose axis lies aside, the part to one side of it stands for both
-    ends = [
-        max(at + 0.5, side - 0.5 - at) for at, side in zip(middle, (width, height), strict=True)
-    ]
-    particles = snow.particles(ends[0] / focal, ends[1] / focal)
+    right, down = (
+        max(at + 0.5, side - 0.5 - at) / focal
+        for at, side in zip(middle, (width, height), strict=True)
+    )
+    particles = snow.particles(right, down)
     if not len(particles.z):
         return None
     x, y, turn = particles.x, particles.y, particles.turn

@@ -83,6 +83,8 @@ _BRIGHT_VEIL = 1.05
 """V(0) above which the notes say that the veil is brighter than a white plate."""
 
 
+_PIXELS = Law()
+
 _ABSENT = torch.zeros(())
 """One number for all, of which a medium makes a tensor of the right shape."""
 
@@ -138,10 +140,10 @@ class Medium:
     exponent: Tensor = _ABSENT + 1
     lamp_beta: Tensor = _ABSENT
     lamp_direct_weights: Tensor = _ABSENT
-    lamp_G: Tensor = _ABSENT
+    lamp_G: Tensor = _ABSENT  # noqa: N815
     lamp_signal_weights: Tensor = _ABSENT
     lamp_veil_weights: Tensor = _ABSENT
-    law: Law = Law()
+    law: Law = _PIXELS
     notes: tuple[str, ...] = ()
     snow: tuple[MarineSnow | None, ...] = ()
 

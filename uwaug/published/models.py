@@ -46,8 +46,8 @@ def mcglamery_1980(
     from general knowledge of the literature.
     Left open: the colours (it has one wavelength), and G and φ, which it fits, with a ≤ G ≤ K_d.
     Ours: spectra and a camera; G = a + g·b, with a g that keeps that bound in all ten types at all
-    wavelengths; φ = 2π·.3 px·b̄ where the short side has 518 px; a white lamp by
-    default; the lamp stands in the `view`. The lamp's light L on the scene is cone·cos/r². On its way it fades with G, as in Monte
+    wavelengths; φ = 2π·.3 px·b̄ where the short side has 518 px; a `view` 60° wide.
+    The lamp's light L on the scene is color·cone·cos/r². On its way it fades with G, as in Monte
     Carlo transport, and not with β. The phase function is that of Henyey and Greenstein.
     """
     w = BandedWater.of(water, camera, z)
