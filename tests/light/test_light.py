@@ -70,7 +70,7 @@ def test_daylight_is_a_factor(medium: Medium) -> None:
 def test_lights_add(medium: Medium) -> None:
     _, z = scene()
     both = Light((BESIDE, AROUND), daylight=0.3).curves(medium, z, WIDE)
-    parts = [Light((lamp,), 0.0).curves(medium, z) for lamp in (BESIDE, AROUND)]
+    parts = [Light((lamp,), 0.0).curves(medium, z, WIDE) for lamp in (BESIDE, AROUND)]
     parts.append(Light(daylight=0.3).curves(medium, z, WIDE))
     for n, found in enumerate(both):
         torch.testing.assert_close(found, torch.stack([part[n] for part in parts]).sum(0))
@@ -137,7 +137,7 @@ def test_gradients_of_the_curves() -> None:
 
     def curves(z: Tensor, beta: Tensor, G: Tensor, b: Tensor) -> Curves:
         medium = Medium.from_coefficients(beta, G, (0.1,) * 3, b_mean=b)
-        return Light((BESIDE,)).curves(medium, z)
+        return Light((BESIDE,)).curves(medium, z, WIDE)
 
     leaves = [value.requires_grad_() for value in (z, beta, G, torch.tensor(0.3).double())]
     torch.autograd.gradcheck(curves, leaves)
@@ -192,7 +192,7 @@ def test_a_lamp_shows_where_daylight_is_gone() -> None:
     # and it does not depend on the depth
     dark = replace(light, daylight=0.0)
     shallow = Medium.from_water("7C", vertical_depth=1.0)
-    for one, other in zip(dark.curves(shallow, z), dark.curves(deep, z), strict=True):
+    for one, other in zip(dark.curves(shallow, z, WIDE), dark.curves(deep, z, WIDE), strict=True):
         torch.testing.assert_close(one, other)
 
 

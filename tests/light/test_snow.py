@@ -325,11 +325,11 @@ def test_a_seed_is_kept_and_a_film_adds_to_its_drift() -> None:
     for name in ("II", "medium 1"):
         sample = {**drawn, "water": {**drawn["water"], "waters": [name]}, "moved": 0.5}
         sample["motion"] = [0.1, 0.2, 0.3]
-        (setting,) = augment.scenes(image, z, {"samples": [sample]}).settings
-        assert (setting.scale == 1) == (name != "II")
-        (snow,) = setting.medium.snow
+        (scene,) = augment.scenes(image, z, {"samples": [sample]}).scenes
+        assert (scene.scale == 1) == (name != "II")
+        (snow,) = scene.setting.medium.snow
         assert replace(snow, drift=SNOW.drift) == SNOW
-        ways = np.array([0.4, -0.2, -0.3]) * setting.scale
+        ways = np.array([0.4, -0.2, -0.3]) * scene.scale
         assert snow.drift == pytest.approx(ways + np.array([0.25, 0, 0]))
 
 

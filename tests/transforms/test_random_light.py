@@ -118,7 +118,7 @@ def test_lamps_stay_in_a_film() -> None:
     record = json.loads(json.dumps(augment.for_clip(params, picture(), z)))
 
     def light(far: Tensor, drawn: Any) -> Light:
-        return augment.scenes(picture(), far, drawn).settings[0].light
+        return augment.scenes(picture(), far, drawn).scenes[0].setting.light
 
     assert light(z, record) == light(1.5 * z, record) != light(1.5 * z, params)
     still, frame = (augment.transform(picture(), z, each) for each in (params, record))

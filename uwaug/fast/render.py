@@ -24,6 +24,7 @@ from uwaug.fast.tables import (
     DevelopmentTable,
     Floats,
     Indices,
+    LampsTable,
     PlanTable,
     RaysTable,
     WaterTable,
@@ -92,10 +93,15 @@ def form(
     maps = z.detach().contiguous()
     unscaled = maps if metres is None else metres.detach().contiguous()
     weights = _in_pixels(medium, setting, size)
-    brightest = weights
+    lit, brightest = medium, weights
     if light is not None and light.lamps:
-        brightest = _in_pixels(light.planned(medium), setting, size)
-    waters = _waters(medium, light, weights, brightest, maps)
+        lit = light.planned(medium)
+        brightest = _in_pixels(lit, setting, size)
+    lamps = [
+        lamps_table(light, brightest.row(n), is_spectral=lit.is_spectral)
+        for n in range(len(medium))
+    ]
+    waters = _waters(medium, light, weights, lamps, maps)
     rays = rays_tables(setting.view, light, size)
     batch = max(len(J), len(maps), len(medium), len(rays))
     columns = J.numpy(), maps.numpy()[:, 0], unscaled.numpy()[:, 0], waters, rays
@@ -158,7 +164,7 @@ def _in_pixels(medium: Medium, setting: Setting, size: Size) -> Weights:
 
 
 def _waters(
-    medium: Medium, light: Light | None, weights: Weights, lamplit: Weights, z: Tensor
+    medium: Medium, light: Light | None, weights: Weights, lamps: list[LampsTable], z: Tensor
 ) -> list[WaterTable]:
     """Tables of each medium: in the light of the day, and under lamps."""
     day = weights
@@ -168,7 +174,7 @@ def _waters(
         WaterTable(
             medium_table(day.row(n)),
             terms_table(medium if len(medium) == 1 else medium[n], z.numpy()),
-            lamps_table(light, lamplit.row(n), is_spectral=medium.is_spectral),
+            lamps[n],
         )
         for n in range(len(medium))
     ]

@@ -41,11 +41,12 @@ class FixedMedium(nn.Module):
     def get_extra_state(self) -> Tensor:
         """The law as numbers: its places in the lists of shapes and of units."""
         law = self.start.law
-        return torch.tensor([get_args(Shape).index(law.shape), get_args(Unit).index(law.unit)])
+        places = get_args(Shape).index(law.shape), get_args(Unit).index(law.unit)
+        return torch.tensor(places, dtype=torch.float64)
 
     def set_extra_state(self, state: Tensor) -> None:
         """Refuse the state of another law."""
-        shape, unit = state.tolist()
+        shape, unit = map(int, state.tolist())
         law = Law(get_args(Shape)[shape], get_args(Unit)[unit])
         if law != self.start.law:
             raise ValueError(f"state_dict is of {law}, this module's medium of {self.start.law}")

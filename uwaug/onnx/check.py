@@ -227,7 +227,7 @@ def _unrelated_media(medium: Medium) -> list[Medium]:
             mixing = 1.4 * torch.eye(3, dtype=torch.float64) - 0.2
             signal = mixing[:, :, None] * weights[:, None]
         return replace(
-            medium[0].to(torch.float64),
+            medium[0].without_lamps().to(torch.float64),
             beta=rates,
             direct_weights=signal,
             G=0.4 * rates,
@@ -237,6 +237,6 @@ def _unrelated_media(medium: Medium) -> list[Medium]:
             scale=rates.new_tensor([scale * float(medium.scale.max())]),
             exponent=rates.new_tensor([exponent]),
             notes=("check",),
-        ).without_lamps()
+        )
 
     return [unrelated(1, 1.5, 1.0), unrelated(5, 2.5, 0.6)]

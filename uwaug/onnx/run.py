@@ -206,13 +206,12 @@ class OnnxUnderwater:
             raise ValueError(f"medium: its widths lie beyond the plan of the file; {cure}")
         numbers = coefficients_of(medium, light or self.module.light)
         rows = {name: torch.from_numpy(x) for name, x in numbers.items()}
-        if self.module.medium.is_spectral:
-            of_scene = [n for n, axes in Medium.TENSORS.items() if "S" in axes and n in rows]
-            rows |= {name: as_matrices(rows[name]) for name in of_scene}
-        elif medium.is_spectral:
+        own = coefficients_of(self.module.medium, self.module.light)
+        if any(rows[name].ndim > own[name].ndim for name in rows):
             got = "the file is for grey surfaces, got a medium of surfaces with spectra"
             raise ValueError(f"medium: {got}")
-        return rows
+        mixing = [name for name in rows if rows[name].ndim < own[name].ndim]
+        return rows | {name: as_matrices(rows[name]) for name in mixing}
 
 
 def _geometry(light: Light | None) -> Any:

@@ -120,14 +120,15 @@ class Medium:
         "scale": "B",
         "exponent": "B",
         "lamp_beta": "BM",
-        "lamp_direct_weights": "BCSM",
+        "lamp_direct_weights": "BCTM",
         "lamp_G": "BN",
-        "lamp_signal_weights": "BCSN",
+        "lamp_signal_weights": "BCTN",
         "lamp_veil_weights": "BCN",
     }
     """The tensors and their axes: B media, K rates of the direct term, L of signal and veil, M and
     N of these under lamps, C channels of the picture, and of surfaces with spectra S channels of
-    the scene. All code that copies, stacks, brightens, learns, stores or exports media goes by it.
+    the scene, T under lamps. All code that copies, stacks, brightens, learns, stores or exports
+    media goes by it.
     """
 
     beta: Tensor
@@ -150,7 +151,9 @@ class Medium:
     def __post_init__(self) -> None:
         rates = {"K": self.beta, "L": self.G, "M": self.lamp_beta, "N": self.lamp_G}
         sizes = {axis: t.shape[-1] if t.ndim else 0 for axis, t in rates.items()}
-        sizes |= {"B": self.beta.shape[0], "C": 3, **({"S": 3} if self.is_spectral else {})}
+        sizes |= {"B": self.beta.shape[0], "C": 3}
+        of_scene = {"S": self.direct_weights, "T": self.lamp_direct_weights}
+        sizes |= {axis: 3 for axis, weights in of_scene.items() if weights.ndim == 4}
         for name, axes in self.TENSORS.items():
             tensor = getattr(self, name)
             shape = tuple(map(sizes.__getitem__, filter(sizes.__contains__, axes)))
@@ -279,9 +282,6 @@ class Medium:
         matrices have nine rows.
         """
         tensors: dict[str, Any] = {name: row_of(array) for name, array in arrays.items()}
-        if any(tensor.ndim == 4 for tensor in tensors.values()):
-            of_scene = (n for n, axes in Medium.TENSORS.items() if "S" in axes and n in tensors)
-            tensors |= {name: as_matrices(tensors[name]) for name in of_scene}
         medium = Medium(**tensors, law=law, notes=(note,))
         if len(arrays["direct_weights"]) == 9:  # else they are no memory of the tensors
             names = tuple(Medium.TENSORS)[:8]
@@ -445,14 +445,14 @@ class Medium:
         beta = rate(self.direct_weights, self.beta)
         weights = torch.diag_embed(light.clamp(min=0.0))
         return replace(
-            self,
+            self.without_lamps(),
             beta=beta,
             direct_weights=weights,
             G=rate(self.signal_weights, self.G).minimum(beta),
             signal_weights=weights,
             veil_weights=torch.diag_embed(self.veil_weights.sum(-1).clamp(min=0.0)),
             notes=(_OF_COEFFICIENTS,) * len(self),
-        ).without_lamps()
+        )
 
     def ambient(self) -> Tensor:
         """Light of a white surface in front of the lens (B, 3): e^(−K_d d) of each channel."""
@@ -511,7 +511,7 @@ class Medium:
         """
         if self.knows_lamps:
             lit: dict[str, Any] = {name: getattr(self, f"lamp_{name}") for name in OF_LAMPS}
-            return replace(self, **lit).without_lamps()
+            return replace(self.without_lamps(), **lit)
         light = self.ambient().clamp(min=_MIN_LIGHT)
         light = light.reshape(len(self), 3, *[1] * (self.signal_weights.ndim - 2))
         signal = self.signal_weights / light
@@ -620,7 +620,7 @@ class Medium:
         for name, axes in self.TENSORS.items():
             weights = getattr(wide, name)
             if "C" in axes and gain.ndim == 3:
-                weights = as_matrices(weights) if "S" in axes else weights
+                weights = as_matrices(weights) if {"S", "T"} & {*axes} else weights
                 mixed = gain @ weights.reshape(len(weights), 3, -1)
                 gained[name] = mixed.reshape(-1, *weights.shape[1:])
             elif "C" in axes:

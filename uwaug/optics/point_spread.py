@@ -18,7 +18,7 @@ Unit = Literal["px", "paper", "focal"]
 of the paper; focal lengths.
 """
 
-_PAPER_SIDE = 518
+PAPER_SIDE = 518
 """Short side of the paper's pictures, px."""
 
 LENGTHS = 1e-6, 1e4
@@ -59,7 +59,7 @@ class Law:
         if self.unit == "focal":
             return view.focal(sides[1])
         short = torch.minimum(*sides) if isinstance(sides, list) else min(sides)
-        return short / _PAPER_SIDE
+        return short / PAPER_SIDE
 
 
 @plain
