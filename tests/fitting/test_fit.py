@@ -217,7 +217,7 @@ def hazed(noise=0.0, size=1.0):
 SET = {"beta": (0.288, 0.122, 0.134), "veil": (0.10, 0.45, 0.55)}
 
 
-@pytest.mark.parametrize("model, noise", [("haze", 0.0), ("auto", 0.01)])
+@pytest.mark.parametrize("model, noise", [("haze", 0.0), ("haze", 0.01), ("auto", 0.01)])
 def test_a_haze_of_encoded_values_is_told(model, noise):
     """Rates of .515, .162 and .153 came out, with errors of .006."""
     pictures = hazed(noise)
@@ -238,8 +238,8 @@ def test_a_haze_of_encoded_values_is_told(model, noise):
 @pytest.mark.parametrize(
     ("system", "is_of_values"),
     [
-        *[(name, True) for name in ("ueda-2019", "slurpp-2025")],
-        *[(name, False) for name in ("akkaynak-2018", "desai-2021")],
+        *[(name, True) for name in ("ueda-2019", "hou-2020", "li-2020", "slurpp-2025")],
+        *[(name, False) for name in ("akkaynak-2018", "desai-2021", "liu-2022", "desai-2024")],
     ],
 )
 def test_published_systems_that_compose_in_encoded_values(system, is_of_values):

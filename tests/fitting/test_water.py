@@ -38,7 +38,9 @@ def test_finds_type_visibility_and_depth(water: Fit, known: Known) -> None:
     assert not any(NOISE in note for note in water.notes)
 
 
-@pytest.mark.parametrize(("kind", "depth", "gain"), [("II", 6.0, 1.0), ("7C", 1.0, 0.6)])
+@pytest.mark.parametrize(
+    ("kind", "depth", "gain"), [("II", 6.0, 1.0), ("1C", 8.0, 0.6), ("7C", 1.0, 0.6)]
+)
 def test_what_uwaug_has_made(kind: str, depth: float, gain: float) -> None:
     """Exposure is the medium's: it makes the observed picture."""
     clean, z = scene(step=4)
