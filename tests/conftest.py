@@ -70,7 +70,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Any:
     scene = uwaug.presets.scene.Scene(
         torch.rand(3, 20, 30, generator=generator),
         torch.linspace(1, 4, 600).reshape(1, 20, 30),
-        focal_px=40.0,
+        view=uwaug.View(focal_px=40.0),
     )
     monkeypatch.setattr(uwaug.presets.scene, "motorcycle", lambda: scene)
     return scene

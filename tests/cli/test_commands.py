@@ -530,7 +530,7 @@ def test_plain_pictures_have_nothing_random(folder, run):
     assert run(*line, "wet.png", "--seed", "1")[0] == 0
     assert run(*line, "again.png", "--seed", "2")[0] == 0
     assert (folder / "wet.png").read_bytes() == (folder / "again.png").read_bytes()
-    law = uwaug.PointSpread.calibrated(uwaug.optics.point_spread.FOCAL_LENGTH * 32)
+    law = uwaug.PointSpread.calibrated()
     water = uwaug.Medium.from_water("3C", vertical_depth=0.0, g=0.05, point_spread=law)
     image = torch.from_numpy(np.array(Image.open("photos/a.png"))).permute(2, 0, 1)
     wanted = uwaug.Underwater(water)(image, torch.full((1, 24, 32), 2.0)).permute(1, 2, 0)

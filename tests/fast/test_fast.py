@@ -31,6 +31,7 @@ from uwaug import (
     fast,
 )
 from uwaug.fast import gate
+from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
 
 pytest.importorskip("numba")
@@ -64,7 +65,7 @@ def formed(degrade: Underwater, image: Tensor, z: Tensor, most: float, *field: T
     precision.
     """
     z, values = z.float(), image / 255 if image.dtype == torch.uint8 else image
-    assert fast.can(image, z, degrade.medium.to(torch.float32), degrade.light, degrade.development)
+    assert fast.can(image, z, degrade.setting(degrade.medium.to(torch.float32)))
     ours = degrade(image, z, *(x.float() for x in field))
     exact = degrade(values.double(), z.double(), *(x.float().double() for x in field))
     if image.dtype == torch.uint8:  # rounded, and clipped as bytes are
@@ -104,7 +105,6 @@ LAWS = {
     "coarse": PointSpread(30.0, 0.5),
     "from none to coarse": PointSpread(4.0, 2.0),
     "heavy tails": PointSpread(15.0, 0.62, "exponential"),
-    "of each medium": PointSpread(torch.tensor([2.0]), torch.tensor([0.7])),
 }
 MEDIA |= {f"blur {name}": lambda law=law: coefficients(3, law) for name, law in LAWS.items()}
 BESIDE = Lamp((0.4, -0.3, 0.0), 3.0, (-0.1, 0.1, 1.0), cone=45.0)
@@ -217,11 +217,6 @@ def test_decoding_and_encoding_undo_each_other() -> None:
 # ---- the gate
 
 
-class OwnLaw(PointSpread):
-    def sigma(self, *arguments: Any) -> Tensor:
-        return 2 * super().sigma(*arguments)
-
-
 class OwnMedium(Medium):
     """One of somebody's own, in which plankton glows."""
 
@@ -234,9 +229,14 @@ class OwnCurves(Medium):
         return super().curves(2 * z)
 
 
+class OwnWidth(Medium):
+    def width(self, z: Tensor) -> Tensor:
+        return 2 * super().width(z)
+
+
 IMAGE, Z, WATER = rand(1, 3, 20, 30).float(), stepped(1, 1, 20, 30).float(), coefficients()
-LEARNED = Medium.of_tensors([t.clone().requires_grad_() for t in WATER.tensors()], PointSpread(1.0))
-LEARNED_LAW = coefficients(law=PointSpread(torch.tensor([1.0], requires_grad=True)))
+LEARNED = WATER.map(lambda t: t.clone().requires_grad_())
+LEARNED_LAW = replace(WATER, scale=torch.ones(1, dtype=torch.float64, requires_grad=True))
 
 
 @pytest.mark.parametrize(
@@ -246,33 +246,32 @@ LEARNED_LAW = coefficients(law=PointSpread(torch.tensor([1.0], requires_grad=Tru
         {"z": Z.clone().requires_grad_()},
         {"medium": LEARNED},
         {"medium": LEARNED_LAW},
-        {"medium": OwnCurves(*WATER.tensors(), WATER.point_spread)},
+        {"medium": OwnCurves(*WATER.tensors())},
+        {"medium": OwnWidth(*WATER.tensors())},
         {"z": Z.double()},
         {"image": IMAGE.to("meta")},
         {"light": object()},
+        {"development": Development(exposure=torch.tensor(0.5, requires_grad=True))},
     ],
     ids=lambda change: next(iter(change)),
 )
 def test_the_gate_is_closed(change: dict[str, Any]) -> None:
-    given = {"image": IMAGE, "z": Z, "medium": WATER, "light": None}
-    assert fast.can(**given)
-    assert not fast.can(**given | change)
+    assert fast.can(IMAGE, Z, Setting(WATER))
+    image, z = change.pop("image", IMAGE), change.pop("z", Z)
+    assert not fast.can(image, z, Setting(**{"medium": WATER, **change}))
 
 
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
 @pytest.mark.parametrize("lit", [False, True])
-@pytest.mark.parametrize("kind", ["law", "terms"])
-def test_what_is_of_distance_alone_acts_in_the_loops(kind: str, lit: bool, surfaces: Any) -> None:
+def test_further_terms_act_in_the_loops(lit: bool, surfaces: Any) -> None:
     plain = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(3.0, 0.8))
-    own = replace(plain, point_spread=OwnLaw(3.0, 0.8))
-    if kind == "terms":
-        own = OwnMedium(*plain.tensors(), plain.point_spread, bands=plain.bands)
+    own = OwnMedium(*plain.tensors())
     light = Light((Lamp(),), daylight=0.5) if lit else None
     development = Development("auto", saturation=1.2, gamut=0.5)
     pictures = []
     for medium in (own, plain):
         degrade = Underwater(medium, None, development=development, light=light)
-        assert fast.can(IMAGE, Z, medium, light, development)
+        assert fast.can(IMAGE, Z, Setting(medium, light, development))
         pictures.append(degrade(IMAGE, Z))
         exact = degrade(IMAGE.double(), Z.double())
         torch.testing.assert_close(pictures[-1].double(), exact, rtol=0, atol=1e-5)
@@ -281,8 +280,8 @@ def test_what_is_of_distance_alone_acts_in_the_loops(kind: str, lit: bool, surfa
 
 def test_the_gate_is_open_where_gradients_are_off_and_to_bytes() -> None:
     with torch.no_grad():
-        assert fast.can(IMAGE.clone().requires_grad_(), Z, LEARNED, None)
-    assert fast.can((255 * IMAGE).byte(), Z, WATER, None)
+        assert fast.can(IMAGE.clone().requires_grad_(), Z, Setting(LEARNED))
+    assert fast.can((255 * IMAGE).byte(), Z, Setting(WATER))
 
 
 def test_the_switches(rendered: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:

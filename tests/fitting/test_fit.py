@@ -42,7 +42,7 @@ def test_a_water_comes_back(auto):
 def test_the_medium_makes_the_observed_picture(surfaces):
     """A picture at 4 m of depth in 3C came back 61 grey levels off: its gain was left out."""
     clean, z = scene()
-    law = uwaug.PointSpread.calibrated(0.866 * 105)
+    law = uwaug.PointSpread.calibrated()
     options = {"vertical_depth": 4.0, "g": 0.05, "surfaces": surfaces, "point_spread": law}
     observed = uwaug.Underwater(uwaug.Medium.from_water("3C", **options))(clean, z)
     fit = uwaug.fit(clean, observed, z, pixels=1500)

@@ -11,6 +11,7 @@ from texts import require_room
 import uwaug
 from uwaug.fitting import Fit, Parameter, load_fit
 from uwaug.formation.colour import linear_to_srgb
+from uwaug.optics.view import WIDE
 
 
 @pytest.fixture(params=["auto", "haze", "water", "veil"])
@@ -30,7 +31,7 @@ def test_saved_and_loaded(result, tmp_path):
     np.testing.assert_array_equal(again.covariance, result.covariance)
     for a, b in zip(again.medium.tensors(), result.medium.tensors(), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
-    assert again.medium.point_spread == result.medium.point_spread
+    assert again.medium.law == result.medium.law
     assert list(tmp_path.iterdir()) == [path]
     with pytest.raises(ValueError, match="has no clean pictures"):
         again.rendered()
@@ -68,10 +69,10 @@ def test_the_module_makes_the_picture(auto, known):
 def test_width_of_the_medium_is_that_of_the_fit(auto):
     h, w = auto.geometry.size
     at = torch.full((1, 1, 1, 1), auto.geometry.reference, dtype=torch.float64)
-    sigma = float(auto.medium.width(at, (h, w)))
+    sigma = float(auto.medium.in_pixels((h, w), WIDE).width(at))
     assert sigma == pytest.approx(auto.parameters["width"].value, rel=1e-9)
     # twice the picture, twice the px
-    assert float(auto.medium.width(at, (2 * h, 2 * w))) == pytest.approx(2 * sigma)
+    assert float(auto.medium.in_pixels((2 * h, 2 * w), WIDE).width(at)) == pytest.approx(2 * sigma)
 
 
 def test_a_summary_says_what_its_numbers_are(auto, haze):

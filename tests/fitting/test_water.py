@@ -16,7 +16,7 @@ NOISE = "What is left is not noise"
 def medium_of(water: uwaug.Water | str, depth: float, **options: object) -> uwaug.Medium:
     """With the constants that `fit_water` takes, of the scene at a seventh of its size."""
     known = {"g": Scattering.CALIBRATED.g, "surfaces": "spectral"}
-    known["point_spread"] = uwaug.PointSpread.calibrated(0.866 * 105)
+    known["point_spread"] = uwaug.PointSpread.calibrated()
     return uwaug.Medium.from_water(water, vertical_depth=depth, **{**known, **options})
 
 
@@ -44,7 +44,7 @@ def test_finds_type_visibility_and_depth(water: Fit, known: Known) -> None:
 def test_what_uwaug_has_made(kind: str, depth: float, gain: float) -> None:
     """Exposure is the medium's: it makes the observed picture."""
     clean, z = scene(step=4)
-    law = uwaug.PointSpread.calibrated(0.866 * clean.shape[-1])
+    law = uwaug.PointSpread.calibrated()
     water = medium_of(kind, depth, point_spread=law).brightened(torch.tensor([gain]))
     observed = uwaug.Underwater(water)(clean, z)
     fit = fit_water(clean, observed, z, pixels=1500)
@@ -79,14 +79,14 @@ def test_what_is_known_is_given(two: None) -> None:
     depth = fit.parameters["vertical_depth"]
     assert (depth.value, depth.state) == (1.0, "fixed")
     assert fit.parameters["contents"].value == pytest.approx(1, rel=0.02)
-    assert fit.medium.point_spread == uwaug.PointSpread.paper()
+    assert fit.medium.law == uwaug.PointSpread.paper().law
 
 
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
 def test_surfaces_are_told_and_depth_is_in_its_interval(two: None, surfaces: Surfaces) -> None:
     """Of a picture as `uwaug degrade --plain` makes it, by the default tolerance, in 8 bits."""
     clean, z = scene(step=5)
-    law = uwaug.PointSpread.calibrated(0.866 * clean.shape[-1])
+    law = uwaug.PointSpread.calibrated()
     plain = uwaug.Medium.from_water(
         "3C", vertical_depth=4.0, g=0.05, point_spread=law, surfaces=surfaces
     )

@@ -25,6 +25,7 @@ from uwaug import (
 )
 from uwaug._support import codec
 from uwaug.formation.image import form
+from uwaug.formation.setting import Setting
 from uwaug.optics.snow import COUNTED, SIZES, Particles
 
 BETA, G, AMBIENT = (0.5, 0.3, 0.2), (0.3, 0.2, 0.1), (0.4, 0.6, 0.8)
@@ -95,9 +96,8 @@ def test_its_light_is_lost_in_the_denser_water_of_a_field(single) -> None:
     black, metres = far().new_zeros(1, 3, *SIZE), far()
 
     def added(density: float) -> Tensor:
-        scene = {"color_space": "linear", "metres": metres}
         without, with_it = (
-            form(black, density * metres, medium, **scene)
+            form(black, density * metres, Setting(medium, color_space="linear"), metres=metres)
             for medium in (WATER, WATER.with_snow(SNOW))
         )
         return (with_it - without)[0].sum((1, 2))
@@ -285,11 +285,11 @@ def test_a_seed_is_kept_and_a_film_adds_to_its_drift() -> None:
     for name in ("II", "medium 1"):
         sample = {**drawn, "water": {**drawn["water"], "waters": [name]}, "moved": 0.5}
         sample["motion"] = [0.1, 0.2, 0.3]
-        (setting,) = augment.scenes(image, z, {"samples": [sample]}).settings
-        assert (setting.scale == 1) == (name != "II")
-        (snow,) = setting.medium.snow
+        (scene,) = augment.scenes(image, z, {"samples": [sample]}).scenes
+        assert (scene.scale == 1) == (name != "II")
+        (snow,) = scene.setting.medium.snow
         assert replace(snow, drift=SNOW.drift) == SNOW
-        ways = np.array([0.4, -0.2, -0.3]) * setting.scale
+        ways = np.array([0.4, -0.2, -0.3]) * scene.scale
         assert snow.drift == pytest.approx(ways + np.array([0.25, 0, 0]))
 
 

@@ -196,8 +196,8 @@ def test_no_veil_that_is_drawn_is_brighter_than_a_white_plate() -> None:
     def veil(**options: Any) -> Tensor:
         aug = RandomUnderwater(RandomWater("II", contrast=None, **options))
         record = aug.make_params(picture(), torch.Generator().manual_seed(0))
-        (setting,) = aug.scenes(*scene, record).settings
-        return setting.medium.curves(torch.tensor([[[[1e4]]]])).veil
+        (drawn,) = aug.scenes(*scene, record).scenes
+        return drawn.setting.medium.curves(torch.tensor([[[[1e4]]]])).veil
 
     held, highest, asked = (veil(g=0.02, mu=mu) for mu in ((0.03, 0.04), 0.02, 0.03))
     torch.testing.assert_close(held, highest)
@@ -217,7 +217,7 @@ def test_a_field_is_drawn_for_each_picture() -> None:
     z = torch.full((1, 24, 33), 3.0)
     params = aug.make_params(picture())
     left = aug.contrast_left(picture(), z, params)
-    medium = aug.scenes(picture(), z, params).settings[0].medium
+    medium = aug.scenes(picture(), z, params).scenes[0].setting.medium
     ends = uwaug.contrast_left(torch.tensor([[[9.0, 0.6]]]), medium)
     assert float(left.min()) == pytest.approx(float(ends.min()), rel=0.02)
     assert float(left.max()) == pytest.approx(float(ends.max()), rel=0.02)
@@ -307,9 +307,10 @@ def test_a_grade_of_a_named_water_is_a_distance_in_it(water: Any) -> None:
         record = aug.make_params(picture())
         scenes = aug.scenes(picture(), z, record)
         medians.append(float(scenes.metres[0, 0, 0, 0]))
-        (setting,) = scenes.settings
+        (scene,) = scenes.scenes
+        setting = scene.setting
         assert spectra.contrast(medians[-1]) == pytest.approx(grade, abs=1e-6)
-        assert setting.span[1] == pytest.approx(3 * setting.scale) == pytest.approx(medians[-1])
+        assert setting.span[1] == pytest.approx(3 * scene.scale) == pytest.approx(medians[-1])
         assert torch.equal(setting.medium.transmission(z), itself.transmission(z))
         left = aug.contrast_left(picture(), z, record)
         torch.testing.assert_close(left[0], uwaug.contrast_left(scenes.z[0], itself)[0])
@@ -360,10 +361,10 @@ def test_types_stay_themselves_where_neither_lamps_nor_contents_forbid_it(
 ) -> None:
     aug, z = RandomUnderwater(water, light=light), 2 + distances(16)
     record = aug.make_params(picture(16), torch.Generator().manual_seed(0))
-    settings = aug.scenes(picture(16), z, record).settings
+    scenes = aug.scenes(picture(16), z, record).scenes
     drawn = [sample["water"]["waters"] for sample in record["samples"]]
     types = [all(water in JERLOV_TYPES for water in waters) for waters in drawn]
-    by_distance = [setting.reached.by == "distance" for setting in settings]
+    by_distance = [scene.reached.by == "distance" for scene in scenes]
     assert by_distance == [light is None and type for type in types]
     assert 0 < sum(types) < 16
 
@@ -489,8 +490,8 @@ def test_distances_are_scaled_to_where_water_has_a_colour(
     for metres, size in ((32.0, 8.0), (0.25, 1.0), (3.0, 3.0)):
         made, expected = (aug.transform(picture(3), k * z, record) for k in (metres, size))
         assert torch.equal(made, expected)
-        settings = aug.scenes(picture(3), metres * z, record).settings
-        assert [setting.scale for setting in settings] == 3 * [size / metres]
+        scenes = aug.scenes(picture(3), metres * z, record).scenes
+        assert [scene.scale for scene in scenes] == 3 * [size / metres]
 
 
 BY_CONTENTS = RandomWater(contrast_by="contents")

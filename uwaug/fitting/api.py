@@ -22,8 +22,9 @@ from uwaug.fitting.choose import (
 from uwaug.fitting.data import Geometry, Pictures
 from uwaug.fitting.encoded import encoded_haze_notes
 from uwaug.fitting.model import COLOURS, EXPONENTS, MODELS, NARROW_PX, CoefficientModel
-from uwaug.fitting.result import Fit, Parameter, straight_line
+from uwaug.fitting.result import Fit, Parameter
 from uwaug.fitting.solve import Objective, multistart, reweighed, roughly_weighed, solve
+from uwaug.fitting.words import straight_line
 
 Progress = Callable[[str], None]
 _PIXEL_COUNTS = (500, 100_000)  # least and most pixels of a fit
@@ -57,18 +58,16 @@ def fit(
         distance (1xHxW or Bx1xHxW tensor): metres along the ray; pixels that are NaN, 0 or
             negative do not count; +inf is open water.
         model: "haze" (direct light and veil, one coefficient), "veil" (a coefficient for each), or
-            "gaussian" and "exponential" (forward scatter with a width law, too). "auto" tries all
-            and takes the one with the fewest numbers that predicts left-out blocks of the picture
-            as well as any (one-standard-error rule). Where the short side has four pixels or less,
-            as a table of a chart's patches by distance has, it tries "haze" and "veil".
+            "gaussian" and "exponential" (forward scatter with a width law, too). "auto": the one
+            with the fewest numbers that predicts left-out blocks of the picture as well as any; of
+            "haze" and "veil" alone where the short side has four pixels or less.
         fixed: known numbers by their names in `Fit.parameters`, such as {"G_red": .3}: beta, G and
             veil of a colour, width, exponent.
         gain: "free": each colour gets a factor for exposure, white balance and daylight lost above
-            the scene, if left-out pixels are predicted better with it. It is part of the light and
-            the veil of `Fit.medium`. "fixed": these are the same as in the clean picture.
+            the scene, if left-out pixels are predicted better with it. "fixed": these are the same
+            as in the clean picture.
         color_space: "srgb": values are decoded to linear light. "linear": values are taken as they
-            are, be they linear light or a haze composed in encoded values, as most published
-            synthesisers do. A fit of "srgb" says so where such a haze fits better.
+            are, light or a haze composed in encoded values.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
         seed: seed of the choice of pixels and of random starts.
         progress: True: print on stderr what a fit that takes longer than a second is doing; False:
@@ -129,7 +128,7 @@ def fit(
         if color_space == "srgb":
             say("trying encoded values")
             encoded_notes = encoded_haze_notes(winner, gain == "free", seed)
-        medium = winner.model.medium(winner.solution.theta)
+        medium = winner.model.medium(winner.model.coefficients(winner.solution.theta))
         result = result_of(winner, candidates, winner.model.spec.name, medium, pictures)
     first = (*_model_notes(winner, candidates), *encoded_notes)
     return replace(result, notes=(*first, *result.notes, *_doubts(winner, result.parameters)))
@@ -217,7 +216,7 @@ def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
             "forward from what is not; G and veil do not depend on it."
         )
     else:
-        sentences.append(f"Width law: {model.medium(theta).point_spread}, at b̄ of the medium.")
+        sentences.append(f"Width law: {model.medium(c).width_law}, at b̄ of the medium.")
     rates = {
         colour: float(G)
         for colour, G in zip(COLOURS, c.G, strict=True)

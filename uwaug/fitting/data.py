@@ -6,7 +6,7 @@ Any width law is a mixture of these blurs. They do not depend on the water, so t
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -192,11 +192,20 @@ class Pictures:
             raise ValueError(f"distance is flat: all pixels lie at {low:.4g}–{high:.4g} m; {cure}")
 
 
-class Stack(NamedTuple):
+class Stack:
     """Blurs of the clean pixels (1x3x1xN each) for a shape of point spread, and their plan."""
 
-    plan: BlurPlan
-    blurs: list[Tensor]
+    def __init__(self, plan: BlurPlan, blurs: list[Tensor]) -> None:
+        self.plan, self.blurs = plan, blurs
+        self._sigma, self._soft = torch.empty(0), torch.empty(0)
+
+    def softened(self, sigma: Tensor) -> Tensor:
+        """The clean pixels (1x3x1xN), each blurred by a width `sigma` (1x1x1xN, px). The last is
+        remembered, as most steps of a fit leave the widths alone.
+        """
+        if not torch.equal(sigma, self._sigma):
+            self._sigma, self._soft = sigma, mixed(self.blurs, node_weights(sigma, self.plan))
+        return self._soft
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,11 +234,6 @@ class Pixels:
         """Number of the block of each of the 3·N values."""
         return np.tile(self.blocks, 3)
 
-    def softened(self, shape: Shape, sigma: Tensor) -> Tensor:
-        """The clean pixels (1x3x1xN), each blurred by a width `sigma` (1x1x1xN, px)."""
-        plan, blurs = self.stacks[shape]
-        return mixed(blurs, node_weights(sigma, plan))
-
     def subsample(self, count: int, seed: "int | np.random.Generator") -> "Pixels":
         """A random `count` of the pixels; all if there are no more."""
         n = self.z.shape[-1]
@@ -239,8 +243,8 @@ class Pixels:
         names = ("clean", "observed", "z", "weights", "blocks")
         values: dict[str, Any] = {name: getattr(self, name)[..., places] for name in names}
         stacks = {
-            shape: Stack(plan, [blur[..., places] for blur in blurs])
-            for shape, (plan, blurs) in self.stacks.items()
+            shape: Stack(stack.plan, [blur[..., places] for blur in stack.blurs])
+            for shape, stack in self.stacks.items()
         }
         return replace(self, **values, stacks=stacks)
 

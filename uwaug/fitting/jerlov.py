@@ -22,9 +22,10 @@ from uwaug.fitting.solve import Objective, loss, reweighed, roughly_weighed, sol
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
+from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.surfaces import Surfaces
+from uwaug.optics.view import WIDE, View
 from uwaug.optics.water import Water
 
 _VISIBLE_CONTRAST = 0.02  # share of the contrast that is left at the visibility
@@ -34,7 +35,6 @@ _START_DEPTHS = (0.5, 3.0, 10.0)  # vertical depths, m
 _MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
 # Multiples of a type's contents, from pure water to clear types within the tables' error.
 _MIN_CONTENTS, _MAX_CONTENTS = 1e-3, 1e3
-_THETA_STEP = 1e-5  # of a difference quotient
 _RESULT_TOLERANCE = 0.002  # of the medium of a result
 # Linear light. Media and blurs of the default tolerance are off by .0007 RMS, and half of a step
 # of 8 bits is .002: of each colour about so much is alike everywhere.
@@ -49,7 +49,7 @@ class TypeModel(Model):
 
     Attributes:
         water: the type.
-        camera, surfaces, g, point_spread: as of `fit_water`.
+        camera, surfaces, g, point_spread, view: as of `fit_water`.
         depth: vertical depth, m; None if it is fitted.
         geometry: distances and sizes of the pictures.
     """
@@ -59,6 +59,7 @@ class TypeModel(Model):
     surfaces: Surfaces
     g: float
     point_spread: PointSpread
+    view: View
     depth: float | None
     geometry: Geometry
     offset: float = _OFFSET
@@ -108,23 +109,9 @@ class TypeModel(Model):
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""
-        medium = self.medium(theta)
-        soft = pixels.softened(self.point_spread.shape, medium.width(pixels.z, pixels.size))
+        medium = self.medium(theta).in_pixels(pixels.size, self.view)
+        soft = pixels.stacks[self.point_spread.shape].softened(medium.width(pixels.z))
         return medium.image(pixels.z, pixels.clean, soft)
-
-    def slopes(self, theta: Array, pixels: Pixels) -> Array:
-        """Derivatives of the 3·N values by θ (3·N x numbers), by differences."""
-        light, columns = self.render(theta, pixels), []
-        for i, (name, bound) in enumerate(self.bounds.items()):
-            if name == "gain":  # a logarithm
-                columns.append(light)
-                continue
-            step = _THETA_STEP if theta[i] + _THETA_STEP <= bound.high else -_THETA_STEP
-            neighbour = theta.copy()
-            neighbour[i] += step
-            difference = self.render(neighbour, pixels) - light
-            columns.append(difference / (neighbour[i] - theta[i]))
-        return torch.stack(columns, -1).reshape(-1, len(columns)).numpy()
 
     @property
     def quantities(self) -> list[Quantity]:
@@ -159,6 +146,7 @@ def fit_water(
     vertical_depth: float | None = None,
     g: float = Scattering.CALIBRATED.g,
     point_spread: PointSpread | None = None,
+    view: View | float = WIDE,
     color_space: ColorSpace = "srgb",
     pixels: int = 5000,
     seed: int = 0,
@@ -178,9 +166,10 @@ def fit_water(
         vertical_depth: depth of the scene below the surface, m; None: it is fitted, 0…30 m.
         g: share of the scattered light that leaves the line of sight; μ is 1.5·g. One picture does
             not tell it from the water.
-        point_spread: width law; None: `PointSpread.calibrated` of a view 60° wide, whose focal
-            length is .866 of the width. Pictures by the paper's model need `PointSpread.paper()`,
-            g = .2 and grey surfaces.
+        point_spread: width law; None: `PointSpread.calibrated`. Pictures by the paper's model need
+            `PointSpread.paper()`, g = .2 and grey surfaces.
+        view: of the camera, a `uwaug.View` or its angle in degrees, which the width of the blur
+            follows. Of another angle than the picture's, no type may explain it.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
 
     Returns:
@@ -199,7 +188,7 @@ def fit_water(
         >>> clean, z = torch.rand(3, 60, 80), torch.linspace(1, 6, 4800).reshape(1, 60, 80)
         >>> water = uwaug.Medium.from_water("5C", g=0.05, surfaces="spectral")
         >>> observed = uwaug.Underwater(water)(clean, z)
-        >>> options = {"point_spread": water.point_spread, "pixels": 500, "progress": False}
+        >>> options = {"point_spread": uwaug.PointSpread.paper(), "pixels": 500, "progress": False}
         >>> uwaug.fitting.fit_water(clean, observed, z, **options).model
         '5C'
     """
@@ -211,12 +200,11 @@ def fit_water(
         checks.within("vertical_depth", vertical_depth, *checks.DOMAIN["vertical_depth"])
     pictures = Pictures.of(clean, observed, distance, color_space)
     geometry = pictures.geometry
-    law = point_spread
-    if law is None:
-        law = PointSpread.calibrated(FOCAL_LENGTH * geometry.size[1])
+    law = PointSpread.calibrated() if point_spread is None else point_spread
+    view = View.of(view)
     checks.instance("point_spread", law, PointSpread)
     models = [
-        TypeModel(Water.jerlov(name), camera, kind, g, law, vertical_depth, geometry)
+        TypeModel(Water.jerlov(name), camera, kind, g, law, view, vertical_depth, geometry)
         for kind in (get_args(Surfaces) if surfaces == "auto" else (surfaces,))
         for name in JERLOV_TYPES
     ]

@@ -1,28 +1,22 @@
-"""Pictures as functions of a few numbers θ, coefficients for each colour, and their slopes.
-
-    I = light·(T_β·(J − soft) + T_G·soft) + source·(1 − e^(−Gz))/G
-
-with T_β = e^(−βz), T_G = e^(−Gz), soft = J blurred with σ = width·(z/reference)^exponent, and
-source = G·V(0), the growth of the veil at the lens. Pictures are rendered by `Medium`, as any other
-image is; slopes are written out.
+"""Pictures as functions of a few numbers θ: coefficients of each colour and a width law. The
+equation is that of `Medium.image` alone; slopes are its differences.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from uwaug._support.types import Array, Shape
-from uwaug.blur.stack import mixed, node_slopes, node_weights
 from uwaug.fitting.data import Geometry, Pixels
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.point_spread import Law, PointSpread
 from uwaug.optics.scattering import Scattering
+from uwaug.optics.view import WIDE
 
 COLOURS = ("red", "green", "blue")
 MAX_OPTICAL_DEPTH = 40.0  # to the median distance: more than any picture survives
@@ -35,8 +29,7 @@ EXPONENTS = (0.2, 3.0)  # least and largest exponent of a width law
 _MAX_G_OVER_BETA = 4.0  # without forward scatter, where nothing ties the two together
 _MIN_G = 1e-9  # 1/m; takes the place of smaller G, where the veil has no end
 _MIN_LENGTHS = 1e-2  # scattering lengths to the median distance, in a width law
-_MIN_WIDTH_PX = 1e-9  # takes the place of smaller widths, by which slopes are divided
-_REPORT_STEP = 1e-5  # step of θ, relative, of a difference quotient
+_STEP = 1e-7  # of a difference quotient, in units of where a fit may begin
 
 
 class Bounds(NamedTuple):
@@ -45,6 +38,11 @@ class Bounds(NamedTuple):
     low: float
     high: float
     begin: float
+
+    def step(self, value: float) -> float:
+        """Step of a difference quotient at a value, away from the nearer end."""
+        step = _STEP * (abs(self.begin) or 1.0)
+        return step if value + step <= self.high else -step
 
 
 class Quantity(NamedTuple):
@@ -87,7 +85,28 @@ class Model(Protocol):
         """Pixels (1x3x1xN) in linear light."""
 
     def slopes(self, theta: Array, pixels: Pixels) -> Array:
-        """Derivatives of the 3·N values by θ (3·N x numbers)."""
+        """Derivatives of the 3·N values by θ (3·N x numbers), by differences. A number of one
+        colour moves no other, so those of three colours are moved at once.
+        """
+        light = self.render(theta, pixels)[0, :, 0]
+        jacobian = np.zeros((*light.shape, len(theta)))
+        columns: dict[str, dict[int, slice]] = {}
+        for i, name in enumerate(self.bounds):
+            kind, _, colour = name.rpartition("_")
+            if colour in COLOURS:
+                row = COLOURS.index(colour)
+                columns.setdefault(kind, {})[i] = slice(row, row + 1)
+            else:
+                columns[name] = {i: slice(3)}
+        steps = [bound.step(x) for bound, x in zip(self.bounds.values(), theta, strict=True)]
+        for rows in columns.values():
+            moved = theta.copy()
+            for i in rows:
+                moved[i] += steps[i]
+            difference = self.render(moved, pixels)[0, :, 0] - light
+            for i, row in rows.items():
+                jacobian[row, :, i] = difference[row] / (moved[i] - theta[i])
+        return jacobian.reshape(-1, len(theta))
 
     def report(self, theta: Array) -> Array:
         """Value of each of `quantities`."""
@@ -103,12 +122,11 @@ class Model(Protocol):
 
 def report_slopes(model: Model, theta: Array) -> Array:
     """Derivatives of the reported values by θ (quantities x numbers), by differences."""
-    columns = []
+    columns, values = [], model.report(theta)
     for i, bound in enumerate(model.bounds.values()):
-        step = _REPORT_STEP * max(abs(theta[i]), abs(bound.begin), 0.01)
-        up, down = theta.copy(), theta.copy()
-        up[i], down[i] = min(theta[i] + step, bound.high), max(theta[i] - step, bound.low)
-        columns.append((model.report(up) - model.report(down)) / (up[i] - down[i]))
+        moved = theta.copy()
+        moved[i] += bound.step(theta[i])
+        columns.append((model.report(moved) - values) / (moved[i] - theta[i]))
     return np.array(columns).T
 
 
@@ -158,47 +176,6 @@ class Coefficients(NamedTuple):
     light: Array
     width: float
     exponent: float
-
-
-def picture_slopes(
-    c: Coefficients, pixels: Pixels, shape: Shape | None, reference: float
-) -> dict[str, Tensor]:
-    """Derivatives of the picture (1x3x1xN) by each of the `Coefficients`; colours do not mix."""
-    beta, G, source, light = (torch.from_numpy(x).reshape(1, 3, 1, 1) for x in c[:4])
-    z = pixels.z
-    direct, signal = torch.exp(-beta * z), torch.exp(-G * z)
-    soft = by_width = by_exponent = torch.zeros_like(pixels.clean)
-    if shape is not None:
-        sigma = c.width * (z / reference) ** c.exponent
-        plan, blurs = pixels.stacks[shape]
-        soft = mixed(blurs, node_weights(sigma, plan))
-        by_log = light * (signal - direct) * mixed(blurs, node_slopes(sigma, plan)) * sigma
-        by_width = by_log / max(c.width, _MIN_WIDTH_PX)
-        by_exponent = by_log * (z / reference).log()
-    sharp = direct * (pixels.clean - soft)
-    return {
-        "beta": -z * light * sharp,
-        "G": -z * light * signal * soft - source * z * z * _growth_slope(G * z),
-        "source": z * _growth(G * z),
-        "light": sharp + signal * soft,
-        "width": by_width,
-        "exponent": by_exponent,
-    }
-
-
-def _growth(x: Tensor) -> Tensor:
-    """(1 − e^−x)/x."""
-    small = x < 1e-4
-    safe = torch.where(small, 1.0, x)
-    return torch.where(small, 1 - x / 2, -torch.expm1(-safe) / safe)
-
-
-def _growth_slope(x: Tensor) -> Tensor:
-    """(1 − e^−x·(1 + x))/x², the derivative of −(1 − e^−x)/x."""
-    small = x < 1e-2
-    safe = torch.where(small, 1.0, x)
-    series = 0.5 - x / 3 + x * x / 8 - x**3 / 30 + x**4 / 144
-    return torch.where(small, series, (1 - torch.exp(-safe) * (1 + safe)) / (safe * safe))
 
 
 @dataclass(frozen=True)
@@ -280,56 +257,40 @@ class CoefficientModel(Model):
         """θ of numbers by the names of `bounds`; the others are where a fit may begin."""
         return np.array([numbers.get(name, bound.begin) for name, bound in self.bounds.items()])
 
-    def medium(self, theta: Array) -> Medium:
-        """The water as `uwaug.Underwater` takes it: a batch of one."""
-        c, reference = self.coefficients(theta), self.geometry.reference
-        positive_G = c.G.clip(min=_MIN_G)
-        rows = (c.beta, positive_G, c.light, c.source / positive_G)
-        beta, G, light, veil = (torch.from_numpy(x)[None] for x in rows)
-        if self.spec.shape is None and self.spec.separate_veil:
-            return _without_scatter(beta, G, light, veil)
-        beta = beta.maximum(G)
-        if self.spec.shape is None:
-            return Medium.from_coefficients(beta, beta, veil, light=light)
-        b = float((beta - G).mean()) / (1 - Scattering.CALIBRATED.g)
-        b = max(b, _MIN_LENGTHS / reference)
-        scale = c.width / (b * reference) ** c.exponent
-        law = PointSpread(scale, c.exponent, self.spec.shape, float(min(self.geometry.size)))
-        return Medium.from_coefficients(beta, G, veil, b_mean=b, point_spread=law, light=light)
+    def medium(self, c: Coefficients) -> Medium:
+        """The water as `uwaug.Underwater` takes it: a batch of one, float64."""
+        reference, scatters = self.geometry.reference, self.spec.shape is not None
+        G = c.G.clip(min=_MIN_G)
+        beta = c.beta if self.spec.separate_veil and not scatters else np.maximum(c.beta, G)
+        direct = signal = np.diag(c.light)
+        rates, veil, note = G, np.diag(c.source / G), "fitted: one rate for each colour"
+        b, law = 0.0, PointSpread.none()
+        if self.spec.shape is not None:
+            b = float((beta - G).mean()) / (1 - Scattering.CALIBRATED.g)
+            b = max(b, _MIN_LENGTHS / reference)
+            px = c.width / (b * reference) ** c.exponent
+            scale = px / Law(unit="paper").pixels(self.geometry.size, WIDE)
+            law = PointSpread(float(scale), float(c.exponent), self.spec.shape, "paper")
+        elif self.spec.separate_veil:
+            # signal and veil share rates: those of direct light, then those of the veil
+            rates, none = np.concatenate([beta, G]), np.zeros((3, 3))
+            signal, veil = np.concatenate([signal, none], 1), np.concatenate([none, veil], 1)
+            note = "fitted: direct light and veil, no forward scatter"
+        numbers = (np.array(number) for number in (b, law.scale, law.exponent))
+        arrays = zip(Medium.TENSORS, (beta, direct, rates, signal, veil, *numbers), strict=False)
+        return Medium.of_arrays(dict(arrays), law.law, note)
+
+    def picture(self, c: Coefficients, pixels: Pixels) -> Tensor:
+        """Pixels (1x3x1xN) in linear light."""
+        soft = pixels.clean
+        if self.spec.shape is not None:
+            sigma = c.width * (pixels.z / self.geometry.reference) ** c.exponent
+            soft = pixels.stacks[self.spec.shape].softened(sigma)
+        return self.medium(c).image(pixels.z, pixels.clean, soft)
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""
-        medium, soft = self.medium(theta), pixels.clean
-        if self.spec.shape is not None:
-            soft = pixels.softened(self.spec.shape, medium.width(pixels.z, pixels.size))
-        return medium.image(pixels.z, pixels.clean, soft)
-
-    def slopes(self, theta: Array, pixels: Pixels) -> Array:
-        """Derivatives of the 3·N values by θ (3·N x numbers)."""
-        c = self.coefficients(theta)
-        by = picture_slopes(c, pixels, self.spec.shape, self.geometry.reference)
-        beta, G = (torch.from_numpy(x).reshape(1, 3, 1, 1) for x in (c.beta, c.G))
-        # G follows β unless it is fixed; source follows G if the veil is fixed
-        G_by_beta, source_by_G = G / beta.clamp(min=1e-12), torch.zeros(1, 3, 1, 1).double()
-        if not self.spec.separate_veil:
-            G_by_beta = torch.ones_like(G)
-        for i, colour in enumerate(COLOURS):
-            source_by_G[:, i] = self.fixed.get(f"veil_{colour}", 0.0)
-            if f"G_{colour}" in self.fixed:
-                G_by_beta[:, i] = 0.0
-        by_G = by["G"] + source_by_G * by["source"]
-        by |= {
-            "beta": by["beta"] + G_by_beta * by_G,
-            "share": beta * by_G,
-            "light": torch.from_numpy(c.light).reshape(1, 3, 1, 1) * by["light"],
-        }
-        jacobian = np.zeros((3, pixels.z.shape[-1], len(self.bounds)))
-        for column, name in enumerate(self.bounds):
-            kind, _, colour = name.partition("_")
-            # a number of one colour moves no other
-            rows = [COLOURS.index(colour)] if colour else [0, 1, 2]
-            jacobian[rows, :, column] = by[kind][0, rows, 0]
-        return jacobian.reshape(-1, len(self.bounds))
+        return self.picture(self.coefficients(theta), pixels)
 
     @cached_property
     def quantities(self) -> list[Quantity]:
@@ -369,18 +330,3 @@ class CoefficientModel(Model):
         if self.spec.shape is None or self.coefficients(theta).width >= NARROW_PX:
             return ()
         return ("beta_red", "beta_green", "beta_blue", "width", "exponent")
-
-
-def _without_scatter(beta: Tensor, G: Tensor, light: Tensor, veil: Tensor) -> Medium:
-    """A medium (of 1x3 tensors) without forward scatter, T_G = T_β, whose veil has separate rates
-    G.
-    """
-    medium = Medium.from_coefficients(beta, beta, veil, light=light)
-    zeros = torch.zeros_like(medium.veil_weights)
-    return replace(
-        medium,
-        G=torch.cat([beta, G], 1),
-        signal_weights=torch.cat([medium.signal_weights, zeros], 2),
-        veil_weights=torch.cat([zeros, medium.veil_weights], 2),
-        notes=("fitted: direct light and veil, no forward scatter",),
-    )

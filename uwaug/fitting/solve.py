@@ -10,7 +10,7 @@ from torch import Tensor
 
 from uwaug._support.types import Array
 from uwaug.fitting.data import Pixels
-from uwaug.fitting.model import COLOURS, MAX_GAIN, CoefficientModel, Model, picture_slopes
+from uwaug.fitting.model import COLOURS, MAX_GAIN, CoefficientModel, Model
 
 M = TypeVar("M", bound=Model)
 ROBUST = 2.0  # standard deviations of noise, from where on a residual counts less than its square
@@ -192,10 +192,9 @@ def guess(
         for beta in (_OPTICAL_DEPTHS / reference).tolist():
             ones = np.ones(3)
             c = law._replace(beta=beta * ones, G=share * beta * ones, source=0 * ones, light=ones)
-            by = picture_slopes(c, pixels, model.spec.shape, reference)
-            error, light, source = _light_and_source(
-                by["light"], by["source"], pixels, gain=model.gain
-            )
+            scene = model.picture(c, pixels)
+            growth = model.picture(c._replace(light=0 * ones, source=ones), pixels)
+            error, light, source = _light_and_source(scene, growth, pixels, gain=model.gain)
             trials.append((error, beta, share, light, source))
     for i, colour in enumerate(COLOURS):
         _, beta, share, light, source = min(trials, key=lambda row: float(row[0][i]))
