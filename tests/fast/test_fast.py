@@ -96,6 +96,7 @@ MEDIA = {
     "spectral": lambda: Medium.from_water("II", surfaces="spectral", vertical_depth=6.0),
     "batch": lambda: Medium.stack([coefficients(seed) for seed in (1, 2)]),
     "snowy": lambda: coefficients(4).with_snow(SNOW),
+    "spectral, snowy": lambda: MEDIA["spectral"]().with_snow(SNOW),
     "one of two snowy": lambda: Medium.stack([coefficients(4).with_snow(SNOW), coefficients(5)]),
 }
 LAWS = {

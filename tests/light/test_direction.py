@@ -9,15 +9,12 @@ import torch
 from scenes import rand
 from torch import Tensor
 
-from uwaug import Development, Lamp, Light, Medium, RandomLight, RandomUnderwater, Underwater
+from uwaug import Lamp, Light, Medium, RandomLight, RandomUnderwater, Underwater
 from uwaug._support.codec import from_plain, to_plain
-from uwaug.formation.each import form_each
-from uwaug.formation.setting import Setting
 from uwaug.light.direction import veil_factor
 from uwaug.optics.view import WIDE, View
 
 MEDIUM = Medium.from_water("3C", vertical_depth=6.0, g=0.05, mu=0.05)
-SPECTRAL = Medium.from_water("3C", vertical_depth=6.0, surfaces="spectral")
 LAMP = Lamp((0.4, -0.3, 0.0), 2.0)
 
 
@@ -53,20 +50,6 @@ def test_the_veil_alone_is_multiplied(light: Light) -> None:
     torch.testing.assert_close(curves.veil, before.veil + (factors - 1) * day)
 
 
-@pytest.mark.parametrize("metered", [False, True])
-@pytest.mark.parametrize("medium", [MEDIUM, SPECTRAL], ids=["grey", "spectral"])
-@pytest.mark.parametrize(
-    "light", [Light(pitch=12.0), Light([LAMP], daylight=0.3, pitch=-20.0)], ids=["day", "lamp"]
-)
-def test_loops_and_pytorch_agree(light: Light, medium: Medium, metered: bool) -> None:
-    image, z = scene()
-    options: dict[str, Any] = {"light": light, "development": Development(metered=metered)}
-    options["distance_range"] = None
-    fast = Underwater(medium.to(torch.float32), **options)(image, z)
-    exact = Underwater(medium, **options)(image.double(), z.double())
-    assert (fast - exact).abs().max() < 5e-6
-
-
 def test_each_picture_has_its_pitch() -> None:
     image, z = scene()
     water, pitches = MEDIUM.to(torch.float32), (12.0, -30.0)
@@ -91,19 +74,6 @@ def test_gradients_of_pitch() -> None:
 
     pitch = torch.tensor([5.0], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(degraded, pitch)
-
-
-def test_batches_on_a_device_are_formed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    image, z = scene(3)
-    monkeypatch.setattr("uwaug._support.checks.on_host", lambda x: False)
-    monkeypatch.setenv("UWAUG_FAST", "0")
-    lights = [Light(pitch=10.0), Light([LAMP], pitch=10.0), Light(pitch=-25.0)]
-    options: dict[str, Any] = {"color_space": "linear", "span": (0.5, 2.0, 5.0)}
-    finite, settings = z.clamp(max=1e6), [Setting(MEDIUM, light, **options) for light in lights]
-    pictures = form_each(image, finite, finite, settings)
-    for i, light in enumerate(lights):
-        alone = Underwater(MEDIUM, light=light, color_space="linear", distance_range=None)
-        assert (pictures[i] - alone(image[i], z[i])).abs().max() < 5e-3  # other plans of the blur
 
 
 def test_random_pictures_look_up_and_down() -> None:

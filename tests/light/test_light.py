@@ -144,21 +144,18 @@ def test_gradients_of_the_curves() -> None:
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.0, 0.0, 2.0), (0.0, 0.0, -1.0)])
-@pytest.mark.parametrize("far", [0.0, 1e-3, 2.0, math.inf])
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_no_nan_where_rays_meet_lamps(
-    place: tuple[float, float, float], far: float, dtype: torch.dtype
-) -> None:
-    image, z = rand(1, 3, 9, 9).to(dtype), torch.full((1, 1, 9, 9), 3.0, dtype=dtype)
-    z[..., 4:6, 4:6] = far
+def test_no_nan_where_rays_meet_lamps(place: tuple[float, ...], dtype: torch.dtype) -> None:
     light = Light((Lamp(place, 2.0, cone=70.0), Lamp(place, aim=(1.0, 0.0, 0.0), cone=90.0)))
-    z.requires_grad_()
-    found = form_image(image, z, MEDIUM, light=light).image
-    assert found.dtype == dtype
-    assert found.isfinite().all()
-    found.mean().backward()
-    assert z.grad is not None
-    assert z.grad.isfinite().all()
+    for far in (0.0, 1e-3, 2.0, math.inf):
+        image, z = rand(1, 3, 9, 9).to(dtype), torch.full((1, 1, 9, 9), 3.0, dtype=dtype)
+        z[..., 4:6, 4:6] = far
+        found = form_image(image, z.requires_grad_(), MEDIUM, light=light).image
+        assert found.dtype == dtype
+        assert found.isfinite().all()
+        found.mean().backward()
+        assert z.grad is not None
+        assert z.grad.isfinite().all()
 
 
 def test_single_precision_is_enough() -> None:

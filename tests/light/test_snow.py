@@ -19,10 +19,8 @@ from uwaug import (
     Medium,
     RandomUnderwater,
     RandomWater,
-    Sensor,
     Underwater,
     contrast_left,
-    fast,
     form_image,
 )
 from uwaug._support import codec
@@ -32,7 +30,6 @@ from uwaug.optics.snow import COUNTED, SIZES, Particles
 
 BETA, G, AMBIENT = (0.5, 0.3, 0.2), (0.3, 0.2, 0.1), (0.4, 0.6, 0.8)
 WATER = Medium.from_coefficients(BETA, G, (0.1, 0.2, 0.3), light=AMBIENT)
-SPECTRAL = Medium.from_water("II", surfaces="spectral", vertical_depth=5.0)
 LAMPS = Light((Lamp((0.4, -0.3, 0.0), 3.0, (-0.1, 0.1, 1.0), cone=60.0),), daylight=0.3)
 SNOW = MarineSnow(3000, seed=7)
 SIZE = (96, 128)
@@ -169,43 +166,6 @@ def test_number_and_sizes_are_those_of_the_water(drift) -> None:
 def test_more_of_it_adds_particles() -> None:
     few, many = (replace(SNOW, density=density).particles(0.6, 0.4) for density in (500, 900))
     np.testing.assert_array_equal(many.z[: len(few.z)], few.z)
-
-
-LIGHTS = {"day": None, "lamps": LAMPS}
-WATERS = {
-    "grey": WATER.with_snow(SNOW),
-    "spectral": SPECTRAL.with_snow(SNOW),
-    "one of two": Medium.stack([WATER.with_snow(SNOW), WATER]),
-}
-CAMERAS = {
-    "neutral": Development(),
-    "auto": Development("auto", white_balance=0.5, saturation=1.2),
-    "noisy": Development(1.0, saturation=0.8, noise=Sensor(20_000, 3.0, 1)),
-}
-
-
-@pytest.mark.parametrize("camera", CAMERAS)
-@pytest.mark.parametrize("water", WATERS)
-@pytest.mark.parametrize("light", LIGHTS)
-def test_the_loops_draw_the_same(light: str, water: str, camera: str) -> None:
-    if not fast.load():
-        pytest.skip("numba is not installed")
-    image, metres = 0.4 * picture(*SIZE), 0.3 + 4 * rand(1, 1, *SIZE, dtype=torch.float32)
-    z = metres * (0.7 + 0.6 * rand(1, 1, *SIZE, dtype=torch.float32, seed=2))
-    medium, lit, development = WATERS[water].to(torch.float32), LIGHTS[light], CAMERAS[camera]
-    setting = Setting(medium, lit, development)
-    assert fast.can(image, z, setting)
-    ours = form(image, z, setting, metres=metres)
-    exact = form(
-        image.double(),
-        z.double(),
-        replace(setting, medium=medium.to(torch.float64)),
-        metres=metres.double(),
-    )
-    torch.testing.assert_close(ours.double(), exact, rtol=0, atol=2e-5)
-    clear = replace(setting, medium=medium.with_snow(None))
-    without = form(image, z, clear, metres=metres)
-    assert (ours - without)[0].max() > 0.02
 
 
 def test_the_rest_of_a_picture_stays() -> None:

@@ -25,8 +25,8 @@ from uwaug.transforms import random_water
 from uwaug.transforms.appearance import water_features
 
 HEIGHT, WIDTH = 40, 52
-WATERS = 60
-ENGINE = 8  # of them, pictures too
+WATERS = 24
+ENGINE = 5  # of them, pictures too
 
 
 def settings_of(rng: np.random.Generator) -> dict[str, Any]:
