@@ -26,7 +26,9 @@ PAGES = {
 TRUTHS = {
     "Petzold's, in their waters": "Petzold",
     "Henyey–Greenstein, mean cosine .85": "HG 0.85",
+    ".90": "HG 0.9",
     ".924": "HG 0.924",
+    ".95": "HG 0.95",
     "six pictures, .924": "pictures",
 }
 
