@@ -53,22 +53,22 @@ class Model(Protocol):
     """A picture as a function of θ, as fits need it.
 
     Attributes:
-        name: name of the candidate.
-        bounds: bounds of each fitted number, by name, in the order of θ.
-        quantities: the reported quantities.
         offset: linear light by which all pixels of a colour may be off alike, whatever the noise.
     """
 
     offset: float = 0.0
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the candidate."""
 
     @property
-    def bounds(self) -> Mapping[str, Bounds]: ...
+    def bounds(self) -> Mapping[str, Bounds]:
+        """Bounds of each fitted number, by name, in the order of θ."""
 
     @property
-    def quantities(self) -> list[Quantity]: ...
+    def quantities(self) -> list[Quantity]:
+        """The reported quantities."""
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""
@@ -110,7 +110,7 @@ class Model(Protocol):
 
 def neighbours(model: Model, theta: Array) -> Array:
     """Values inside the bounds, a step of a difference quotient away from θ."""
-    low, high, begin = np.array([*model.bounds.values()]).T
+    _, high, begin = np.array([*model.bounds.values()]).T
     step = _STEP * np.where(begin == 0, 1.0, np.abs(begin))
     return np.asarray(np.where(theta + step <= high, theta + step, theta - step))
 
@@ -129,7 +129,7 @@ class ModelSpec(NamedTuple):
     """A model of `uwaug.fit`."""
 
     name: str
-    separate_veil: bool  # True if the veil has a coefficient G, False if it has that of direct light
+    separate_veil: bool  # True if the veil has a coefficient of its own, G
     shape: Shape | None  # of the point spread; None without forward scatter
     words: str  # the terms of the model
 
