@@ -13,15 +13,7 @@ from uwaug.fitting import fit_veil
 from uwaug.fitting.choose import FittedModel, cross_validated, one_standard_error_rule
 from uwaug.fitting.errors import covariance_of, parameter, parameters
 from uwaug.fitting.model import Quantity
-from uwaug.fitting.solve import (
-    guess,
-    influence,
-    loss,
-    multistart,
-    noise,
-    reweighed,
-    solve,
-)
+from uwaug.fitting.solve import guess, influence, loss, multistart, noise, reweighed, solve
 
 
 @pytest.fixture(autouse=True)
@@ -68,11 +60,9 @@ def test_one_rule_says_what_is_identified(value, error, state):
 
 def test_no_door_reports_what_another_would_not():
     """A veil that has hardly begun to bend: `fit_veil` reported errors of up to half of it."""
-    reported = []
-    for G in (0.05, 0.1, 0.14):
-        fit = fit_veil(veiled(veil_water(G=(G,) * 3)), STONES, darkest=0.0)
-        reported += [number for number in fit.parameters.values() if number.value is not None]
-    assert len(reported) > 9
+    fit = fit_veil(veiled(veil_water(G=(0.05, 0.1, 0.14))), STONES, darkest=0.0)
+    reported = [number for number in fit.parameters.values() if number.value is not None]
+    assert len(reported) > 2
     assert max(number.error / number.value for number in reported) < 0.2526
 
 
@@ -151,8 +141,7 @@ def test_noise_is_that_of_the_residuals():
     deviation = (0.01**2 + 4e-4 * light).sqrt()
     residual = deviation * torch.randn(light.shape, generator=rng, dtype=torch.float64)
     residual[::50] = 1.0  # outliers
-    found = noise(residual, light, light > -1)
-    torch.testing.assert_close(found, deviation, rtol=0.1, atol=0.0)
+    torch.testing.assert_close(noise(residual, light, light > -1), deviation, rtol=0.1, atol=0.0)
 
 
 def test_what_lies_far_off_has_no_weight(settled):

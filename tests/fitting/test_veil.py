@@ -39,7 +39,7 @@ def test_nothing_black_is_too_much_veil(veil: Fit) -> None:
     assert (at(grey, 1.0) > at(veil, 1.0) + 0.01).all()
 
 
-@pytest.mark.parametrize("floor", [0.0, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize("floor", [0.05, 0.2])
 def test_intervals_count_what_dark_surfaces_may_reflect(floor: float) -> None:
     """Of the bundled scene, whose surfaces nowhere reflect less than `floor`: G_red would be .85
     ± .04 at .05, for a true .3.

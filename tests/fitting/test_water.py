@@ -38,16 +38,14 @@ def test_finds_type_visibility_and_depth(water: Fit, known: Known) -> None:
     assert not any(NOISE in note for note in water.notes)
 
 
-@pytest.mark.parametrize(
-    ("kind", "depth", "gain"), [("II", 6.0, 1.0), ("1C", 8.0, 0.6), ("7C", 1.0, 0.6)]
-)
-def test_what_uwaug_has_made(kind: str, depth: float, gain: float) -> None:
+@pytest.mark.parametrize(("kind", "depth", "gain"), [("II", 6.0, 1.0), ("3C", 1.0, 0.6)])
+def test_what_uwaug_has_made(kind: str, depth: float, gain: float, two: None) -> None:
     """Exposure is the medium's: it makes the observed picture."""
-    clean, z = scene(step=4)
+    clean, z = scene(step=5)
     law = uwaug.PointSpread.calibrated(0.866 * clean.shape[-1])
     water = medium_of(kind, depth, point_spread=law).brightened(torch.tensor([gain]))
     observed = uwaug.Underwater(water)(clean, z)
-    fit = fit_water(clean, observed, z, pixels=1500)
+    fit = fit_water(clean, observed, z, pixels=1000)
     assert fit.model == kind
     truth = {"contents": 1.0, "vertical_depth": depth, "gain": gain}
     for name, value in truth.items():
