@@ -78,11 +78,6 @@ def test_a_summary_says_what_its_numbers_are(auto, haze):
     assert "0.299999998 … 0.300000002" in replace(auto, parameters={"G_red": sharp}).summary()
 
 
-def test_covariance_is_that_of_the_errors(auto):
-    errors = [number.error for number in auto.parameters.values()]
-    np.testing.assert_allclose(np.sqrt(np.diag(auto.covariance)), errors)
-
-
 def test_no_text_overlaps_or_leaves_the_picture(result, monkeypatch):
     long = replace(result, notes=(*result.notes, *["a sentence that goes on and on, " * 8] * 3))
     assert require_room(long.plot, monkeypatch, margin=10) > 10

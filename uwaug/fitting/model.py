@@ -94,17 +94,17 @@ class Model(Protocol):
         for i, name in enumerate(self.bounds):
             kind, _, colour = name.rpartition("_")
             if colour in COLOURS:
-                row = COLOURS.index(colour)
-                moves.setdefault(kind, {})[i] = slice(row, row + 1)
+                c = COLOURS.index(colour)
+                moves.setdefault(kind, {})[i] = slice(c, c + 1)
             else:
                 moves[name] = {i: slice(3)}
         neighbour = neighbours(self, theta)
-        for rows in moves.values():
+        for columns in moves.values():
             moved = theta.copy()
-            moved[[*rows]] = neighbour[[*rows]]
+            moved[[*columns]] = neighbour[[*columns]]
             difference = self.render(moved, pixels)[0, :, 0] - light
-            for i, row in rows.items():
-                jacobian[row, :, i] = difference[row] / (moved[i] - theta[i])
+            for i, rows in columns.items():
+                jacobian[rows, :, i] = difference[rows] / (moved[i] - theta[i])
         return jacobian.reshape(-1, len(theta))
 
 
@@ -181,7 +181,7 @@ class CoefficientModel(Model):
     @property
     def fixable(self) -> tuple[str, ...]:
         """Names of the numbers that may be fixed."""
-        names = [quantity.name for quantity in self.quantities]
+        names = (quantity.name for quantity in self.quantities)
         return tuple(name for name in names if not name.startswith(("source", "gain")))
 
     @cached_property
@@ -195,21 +195,20 @@ class CoefficientModel(Model):
             low = self.fixed.get(f"G_{colour}", 0.0) if scatters else 0.0
             high, begin = max(opaque, 2 * low), max(1 / reference, low)
             bounds[f"beta_{colour}"] = Bounds(low, high, begin)
+        others = {}
         if self.spec.separate_veil:
-            share = Bounds(0.0, 1.0 if scatters else _MAX_G_OVER_BETA, 0.5)
-            bounds |= {f"share_{colour}": share for colour in COLOURS}
-        source = Bounds(0.0, opaque, 0.2 / reference)
-        bounds |= {f"source_{colour}": source for colour in COLOURS}
+            others["share"] = Bounds(0.0, 1.0 if scatters else _MAX_G_OVER_BETA, 0.5)
+        others["source"] = Bounds(0.0, opaque, 0.2 / reference)
         if self.gain:
-            light = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
-            bounds |= {f"light_{colour}": light for colour in COLOURS}
+            others["light"] = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
+        bounds |= {f"{kind}_{colour}": x for kind, x in others.items() for colour in COLOURS}
         if scatters:
             bounds["width"] = Bounds(0.0, widest, 0.1 * widest)
             bounds["exponent"] = Bounds(*EXPONENTS, 1.0)
         kind_in_theta = {"G": "share", "veil": "source"}
         for name in self.fixed:
-            kind, *colour = name.split("_")
-            del bounds["_".join((kind_in_theta.get(kind, kind), *colour))]
+            kind, *suffix = name.split("_")
+            del bounds["_".join((kind_in_theta.get(kind, kind), *suffix))]
         return bounds
 
     def coefficients(self, theta: Array) -> Coefficients:
@@ -289,8 +288,7 @@ class CoefficientModel(Model):
     def report(self, theta: Array) -> Array:
         """Value of each of `quantities`."""
         c = self.coefficients(theta)
-        values = {"beta": c.beta, "G": c.G, "veil": c.source / (c.G + _MIN_G), "source": c.source}
-        values |= {"gain": c.light, "width": c.width, "exponent": c.exponent}
+        values = {**c._asdict(), "veil": c.source / (c.G + _MIN_G), "gain": c.light}
         kinds = dict.fromkeys(quantity.name.partition("_")[0] for quantity in self.quantities)
         return np.hstack([values[kind] for kind in kinds])
 

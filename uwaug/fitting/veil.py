@@ -144,11 +144,12 @@ def fit_veil(
         )
     if straight := straight_line(G, farthest):
         notes += [f"{straight[0]} Open water in view (distance inf) would tell its end."]
-    for names, cure in (
-        (if_black, "Something black at each distance, as deep shadow, and darkest=0 (--darkest 0)"),
-        (if_more, "Dark surfaces nearer and farther, or more pictures of this water,"),
-    ):
-        notes += [f"{cure} would tell {', '.join(names)}."] * bool(names)
+    if if_black:
+        cure = "Something black at each distance, such as deep shadow, and darkest=0 (--darkest 0)"
+        notes.append(f"{cure} would tell {', '.join(if_black)}.")
+    if if_more:
+        cure = "Dark surfaces nearer and farther, or more pictures of this water,"
+        notes.append(f"{cure} would tell {', '.join(if_more)}.")
     return Fit(
         model="darkest pixels",
         parameters=numbers,
