@@ -83,15 +83,15 @@ def fit(
         if holes == "error" and (unknown := int((~(z > 0)).sum())):
             cure = "--holes none leaves them out, and far takes them for open water"
             raise ValueError(f"{distance}: unknown at {unknown} of {z.numel()} pixels: {cure}")
+        options: dict[str, Any] = {"color_space": color_space}
         if clean is None:
-            given: dict[str, Any] = {} if darkest is None else {"darkest": darkest}
-            result = fit_veil(wet, z, color_space=color_space, **given)
+            if darkest is not None:
+                options["darkest"] = darkest
+            result = fit_veil(wet, z, **options)
         elif model == "waters":
-            dry = read_picture(clean)
-            result = fit_water(dry, wet, z, surfaces=surfaces, color_space=color_space)
+            result = fit_water(read_picture(clean), wet, z, surfaces=surfaces, **options)
         else:
-            dry = read_picture(clean)
-            result = uwaug.fit(dry, wet, z, model=model, gain=gain, color_space=color_space)
+            result = uwaug.fit(read_picture(clean), wet, z, model=model, gain=gain, **options)
         result.save(out)
         print(result.summary())
         print_written(out)
