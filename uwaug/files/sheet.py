@@ -10,7 +10,6 @@ from torch import Tensor
 
 from uwaug._support.atomic import written_whole
 from uwaug.files.pictures import read_picture
-from uwaug.files.record import SHEET_COMMENT
 
 _MAX_PICTURES, _MAX_VARIANTS = 12, 5  # pictures, spread over a run, and variants of each
 _MAX_COLUMNS = 6  # pictures side by side, before and after
@@ -58,7 +57,7 @@ def write_sheet(
             sheet.paste(_label(file.name, words), (x, y + _HEIGHT_PX))
             x += _WIDTH_PX
     with written_whole(path) as part:
-        sheet.save(part, "JPEG", quality=90, comment=SHEET_COMMENT)
+        sheet.save(part, "JPEG", quality=90)
 
 
 def _label(*lines: str) -> Image.Image:
