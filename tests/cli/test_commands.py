@@ -476,7 +476,7 @@ def test_a_film_without_maps_is_a_plane(folder, run):
     code, out, _ = run("degrade", "photos", "--sequence", "--out", "wet")
     assert code == 0
     assert "made up from each frame would flicker" in out
-    records = [json.loads(path.read_text()) for path in (folder / "wet").glob("*.json")]
+    records = [json.loads(path.read_text()) for path in (folder / "wet").glob("*.png.json")]
     samples = [record["params"]["samples"][0] for record in records]
     for noun in ("water", "distance", "light", "development"):
         assert samples[0][noun] == samples[1][noun]

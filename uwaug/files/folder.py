@@ -51,25 +51,27 @@ def held(out: Path) -> Iterator[Callable[[], None]]:
         is_locked = _lock(file)
         file.seek(0)
         process, _, host = file.read().partition(" on ")
-        with suppress(FileNotFoundError):
-            status = os.fstat(file.fileno())
-            # else another run has just ended, and removed the file
-            is_there = os.path.samestat(status, os.stat(file.name))
-            # not all file systems show locks to other machines
-            is_told = bool(process) and (is_locked is None or host != here)
-            is_alive = is_told and time.time() - status.st_mtime < _SILENCE_S
-            if is_locked is not False and is_there and not is_alive:
-                file.truncate(0)
-                file.write(f"process {os.getpid()} on {here}")
-                file.flush()
-                try:
-                    yield lambda: os.utime(file.name)
-                finally:
-                    with suppress(OSError):  # Windows removes no open file
-                        os.unlink(file.name)
-                return
-    got = f"{process or 'a process'} on {host or here} is at work there"
-    raise FileExistsError(f"{out}: {got}: give each job an --out of its own")
+        status = os.fstat(file.fileno())
+        # not all file systems show locks to other machines
+        is_told = bool(process) and (is_locked is None or host != here)
+        is_alive = is_told and time.time() - status.st_mtime < _SILENCE_S
+        # without a name, the file is that of a run that has just ended
+        if is_locked is False or is_alive or not status.st_nlink:
+            got = f"{process or 'a process'} on {host or here} is at work there"
+            raise FileExistsError(f"{out}: {got}: give each job an --out of its own")
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {here}")
+        file.flush()
+
+        def say_alive() -> None:
+            with suppress(OSError):
+                os.utime(file.name)
+
+        try:
+            yield say_alive
+        finally:
+            with suppress(OSError):  # Windows removes no open file
+                os.unlink(file.name)
 
 
 def _lock(file: IO[str]) -> bool | None:

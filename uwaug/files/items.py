@@ -11,10 +11,10 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from uwaug.files.folder import manifest_of
 from uwaug.files.labels import aliases
 from uwaug.files.paths import Files, matched, time_of
 from uwaug.files.pictures import ENDINGS, MAP_ENDINGS, holds_picture
-from uwaug.files.folder import manifest_of
 from uwaug.files.record import record_of
 
 _PICTURE_ENDINGS = tuple(end for end in ENDINGS if end != ".npy")
