@@ -38,7 +38,8 @@ def test_the_example_of_degrade_runs_on_a_depth_cameras_maps(folder, run):
     assert (code, err) == (0, "")
     assert "2 of 2 pictures written to wet" in out
     assert {path.name for path in (folder / "wet").iterdir()} == {
-        *("a.png", "a.png.json", "b.png", "b.png.json", "index.csv", "sheet.jpg")
+        *("a.png", "a.png.json", "b.png", "b.png.json"),
+        *("index.csv", "sheet.jpg", "uwaug-run.json"),
     }
     with open("wet/index.csv", newline="") as file:
         assert [row["status"] for row in csv.DictReader(file)] == ["written", "written"]
@@ -293,8 +294,8 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("fit --observed b.png --distance 3 --out f.json --model waters", "needs --clean"),
         ("degrade photos --set water.vertical_depth=-1 --out wet", "Error: vertical_depth must be"),
         ("degrade photos --set vertical_depth=1 --out wet", "has no 'vertical_depth', only water,"),
-        ("degrade photos --out photos", "--resume"),
-        ("degrade photos --out photos", "--force"),
+        ("degrade photos --out photos", "is read, and would be written over: another folder?"),
+        ("degrade photos --out depth", "depth is not empty, and of no run"),
         ("degrade photos --distance 3 --set turbidity=2 --out wet", "turbidity"),
         (
             "degrade photos --set water.contarst=.3 --out wet",

@@ -50,7 +50,7 @@ def test_a_manifest_says_who_with_what_and_which_files() -> None:
     degrade(RECIPE, items(), "out", sheet=True)
     manifest = manifest_of(Path("out"))
     assert manifest is not None
-    lists = {"index.csv", "train.txt", "val.txt", "data.yaml"}
+    lists = {"index.csv", "sheet.jpg", "train.txt", "val.txt", "data.yaml"}
     assert {*manifest["files"], *manifest["lists"]} == content("out").keys()
     assert {*manifest["lists"]} == lists
     assert manifest["recipe"] == read_record(Path("out/images/0.png.json"))["recipe"]
@@ -171,24 +171,28 @@ def test_force_removes_what_a_run_has_written_and_nothing_else() -> None:
     assert content(".") == before
 
 
-@pytest.mark.parametrize("name", ["data.yaml", "index.csv", "train.txt"])
+@pytest.mark.parametrize("name", ["data.yaml", "index.csv", "train.txt", "sheet.jpg"])
 def test_lists_that_were_edited_stay(name: str) -> None:
-    degrade(RECIPE, items()[:2], "out")
+    degrade(RECIPE, items()[:2], "out", sheet=True)
     file = Path("out", name)
-    text = file.read_text()
-    file.write_text(text + "mine\n")
-    (note,) = (n for n in degrade(RECIPE, items(), "out", resume=True).notes if "edited" in n)
+    edited = file.read_bytes() + b"mine\n"
+    file.write_bytes(edited)
+    notes = degrade(RECIPE, items(), "out", resume=True, sheet=True).notes
+    (note,) = (note for note in notes if "edited" in note)
     assert note.startswith(f"out/{name} stays, as it was edited: remove it")
-    assert file.read_text() == text + "mine\n"
+    assert file.read_bytes() == edited
     file.unlink()
-    degrade(RECIPE, items(), "out", resume=True)
-    assert "mine" not in file.read_text()
-    # nothing made, nothing listed anew
+    degrade(RECIPE, items(), "out", resume=True, sheet=True)
+    assert b"mine" not in file.read_bytes()
+
+
+def test_a_run_that_makes_nothing_lists_nothing_anew() -> None:
+    degrade(RECIPE, items(), "out")
+    before = content("out")
     for picture in Path("all").iterdir():
         picture.write_bytes(b"")
-    before = file.read_text()
-    degrade(RECIPE, items(), "out", resume=True)
-    assert name == "index.csv" or file.read_text() == before
+    assert statuses(resume=True) == "fff"
+    assert {**content("out"), "index.csv": b""} == {**before, "index.csv": b""}
 
 
 def test_files_of_ones_own_in_the_places_of_a_run_stay() -> None:

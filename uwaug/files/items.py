@@ -164,7 +164,8 @@ def _inside(
 ) -> Iterator[Path]:
     """Files with one of the endings in a folder and its subfolders that no run has written."""
     excluded = (os.path.realpath(place) for place in exclude if place is not None)
-    written = {folder / name for name in (manifest_of(folder) or {"files": ()})["files"]}
+    manifest = manifest_of(folder) or {"files": (), "lists": ()}
+    written = {folder / name for name in (*manifest["files"], *manifest["lists"])}
     for path in _files(folder, folder.iterdir(), frozenset(excluded)):
         if path.suffix.lower() in endings and path not in written and record_of(path) is None:
             yield path

@@ -21,7 +21,7 @@ from uwaug.files.labels import Judged, Labels
 from uwaug.files.pictures import read_picture
 from uwaug.files.pool import on_processes
 from uwaug.files.record import digest, reason_of, record_of, record_path, write_record
-from uwaug.files.sheet import write_sheet
+from uwaug.files.sheet import drawn_sheet
 from uwaug.files.summary import Result, Summary
 from uwaug.transforms.random_water import Reached
 
@@ -168,7 +168,7 @@ def run(
     """
     out, inputs = work.out, require_apart(work, jobs, labels, sheet=sheet)
     workers = max(1, min(workers or os.cpu_count() or 1, len(jobs)))
-    files = ["sheet.jpg"] * sheet
+    files: list[str] = []
     for job in jobs:
         path = out / job.place
         files += [file.relative_to(out).as_posix() for file in (path, record_path(path))]
@@ -193,12 +193,14 @@ def run(
         made = [result for result in results if result.status != "failed"]
         # without results, those of before keep their lists
         lists, notes = labels.lists(made) if labels is not None and made else ({}, [])
-        notes = [*notes, *folder.write_lists({"index.csv": Summary(results).index(), **lists})]
+        lists = {"index.csv": Summary(results).index(), **lists}
         variants: dict[Path, list[Path]] = {}
         for result in made:
             variants.setdefault(result.item.picture, []).append(out / result.place)
         if sheet and variants:
-            write_sheet(out / "sheet.jpg", [*variants.items()], work.read, work.caption, beside)
+            groups = [*variants.items()]
+            lists["sheet.jpg"] = drawn_sheet(groups, work.read, work.caption, beside)
+        notes = [*notes, *folder.write_lists(lists)]
     return Summary(results, notes)
 
 
