@@ -5,7 +5,16 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from uwaug.cli.choices import Distance, Force, Unit, number_or_word, read_metres
+from uwaug.cli.choices import (
+    Distance,
+    FocalPx,
+    Force,
+    Unit,
+    ViewAngle,
+    number_or_word,
+    read_metres,
+    view_table,
+)
 from uwaug.cli.console import print_written, reported_errors, require_writable
 
 
@@ -32,6 +41,8 @@ def fit(
         Literal["auto", "grey", "spectral"],
         typer.Option(help="Surfaces of --model waters: grey, with spectra, or what fits better."),
     ] = "auto",
+    view: ViewAngle = None,
+    focal_px: FocalPx = None,
     darkest: Annotated[
         float | None,
         typer.Option(
@@ -69,6 +80,9 @@ def fit(
             raise ValueError("--model waters fits the gain: leave out --gain fixed")
         if model != "waters" and surfaces != "auto":
             raise ValueError(f"--surfaces {surfaces} is of --model waters, got --model {model}")
+        table = view_table(view, focal_px)
+        if table and model != "waters":
+            raise ValueError(f"--view and --focal-px are of --model waters, got --model {model}")
         if clean is None and (model not in ("auto", "veil") or gain == "fixed"):
             got = f"--model {model} --gain {gain}"
             raise ValueError(f"{got} needs --clean; without it, the veil alone is estimated")
@@ -89,7 +103,8 @@ def fit(
                 options["darkest"] = darkest
             result = fit_veil(wet, z, **options)
         elif model == "waters":
-            result = fit_water(read_picture(clean), wet, z, surfaces=surfaces, **options)
+            options |= {"surfaces": surfaces, "view": uwaug.View(**table)}
+            result = fit_water(read_picture(clean), wet, z, **options)
         else:
             result = uwaug.fit(read_picture(clean), wet, z, model=model, gain=gain, **options)
         result.save(out)
