@@ -203,9 +203,8 @@ def water_medium(water: str, widest: float = WIDEST, **options: Any) -> Medium:
 
     The default is the range that the issue names.
     """
-    medium = Medium.from_water(Water.jerlov(water), **options)
-    law = PointSpread(widest / DISTANCES[1] / float(medium.b_mean))
-    return replace(medium, point_spread=law)
+    medium = Medium.from_water(Water.jerlov(water), point_spread=PointSpread(1.0), **options)
+    return replace(medium, scale=widest / DISTANCES[1] / medium.b_mean)
 
 
 def banded_medium(water: str, wavelengths: Sequence[float]) -> Medium:
@@ -215,7 +214,7 @@ def banded_medium(water: str, wavelengths: Sequence[float]) -> Medium:
     beta, G = (torch.from_numpy(x)[None] for x in attenuations(spectra.a, spectra.b, 0.2))
     light = torch.from_numpy(np.exp(-spectra.kd))
     veil = 0.3 * torch.from_numpy(spectra.b) * light / G
-    like = water_medium(water)
+    like = water_medium(water).without_lamps()
     return replace(
         like,
         beta=beta,
@@ -224,7 +223,6 @@ def banded_medium(water: str, wavelengths: Sequence[float]) -> Medium:
         signal_weights=weights * light,
         veil_weights=weights * veil[:, None],
         notes=(),
-        bands=(),
     )
 
 

@@ -1,3 +1,4 @@
+import contextlib
 import os
 import signal
 import sys
@@ -13,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 import uwaug.presets.scene
+from uwaug import fast
 from uwaug._support.once import Once
 
 pytest.register_assert_rewrite("referees.terms")  # before a test imports it
@@ -28,6 +30,13 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     torch.set_num_threads(1)
     threadpool_limits(1)
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the loops before workers begin, each of which would compile them for itself."""
+    if getattr(config.option, "numprocesses", None) and "PYTEST_XDIST_WORKER" not in os.environ:
+        with contextlib.suppress(ModuleNotFoundError):
+            fast.warm_up()
 
 
 class Scene(NamedTuple):
@@ -61,7 +70,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Any:
     scene = uwaug.presets.scene.Scene(
         torch.rand(3, 20, 30, generator=generator),
         torch.linspace(1, 4, 600).reshape(1, 20, 30),
-        focal_px=40.0,
+        view=uwaug.View(focal_px=40.0),
     )
     monkeypatch.setattr(uwaug.presets.scene, "motorcycle", lambda: scene)
     return scene

@@ -30,9 +30,7 @@ def in_water(module: Underwater, medium: Medium, image: Tensor, distance: Tensor
     return form(
         image.double(),
         distance.double(),
-        medium.to(torch.float64),
-        module.development,
-        color_space=module.color_space,
+        module.setting(medium.to(torch.float64)),
         plan=plan_of(module),
     )
 

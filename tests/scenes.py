@@ -68,7 +68,7 @@ def two_waters() -> Medium:
     laws = {"I": (1.2, 0.8), "9C": (2.0, 0.7)}
     media = []
     for name, (scale, exponent) in laws.items():
-        law = PointSpread(torch.tensor([scale]), torch.tensor([exponent]))
+        law = PointSpread(scale, exponent)
         media.append(Medium.from_water(Water.jerlov(name), point_spread=law))
     return Medium.stack(media)
 

@@ -27,6 +27,7 @@ from .optics import MarineSnow as MarineSnow
 from .optics import Medium as Medium
 from .optics import PointSpread as PointSpread
 from .optics import Scattering as Scattering
+from .optics import View as View
 from .optics import Water as Water
 from .optics import load_camera as load_camera
 from .optics import load_water as load_water

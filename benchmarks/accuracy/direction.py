@@ -16,6 +16,7 @@ from referees.transport import Array, Sampler, petzold
 from benchmarks.harness import command, save, use_threads
 from uwaug import Water
 from uwaug.light.direction import veil_factor
+from uwaug.optics.view import WIDE
 
 SEAS = (("II", 480), ("1C", 550), ("3C", 550))
 """Jerlov type and wavelength, nm."""
@@ -113,7 +114,7 @@ def main(quick: bool = False) -> dict[str, Any]:
     use_threads(1)
     walks = 200 if quick else 40_000
     ray = torch.zeros(1, 1, 1, 1)
-    factors = {e: round(float(veil_factor(float(e), ray, 60.0)), 2) for e in ELEVATIONS}
+    factors = {e: round(float(veil_factor(float(e), ray, WIDE)), 2) for e in ELEVATIONS}
     print("here", factors)
     results: dict[str, Any] = {"factors": factors, "seas": {}}
     for water, nm in SEAS[: 1 if quick else None]:

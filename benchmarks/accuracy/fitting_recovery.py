@@ -20,7 +20,7 @@ from uwaug.fitting.model import COLOURS
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.formation.image import form_image
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PAPER_SIZE, PointSpread
+from uwaug.optics.point_spread import PAPER_SIDE, PointSpread
 from uwaug.optics.scattering import Scattering
 from uwaug.presets.scene import Scene, motorcycle
 
@@ -44,7 +44,7 @@ def view() -> Scene:
         interpolate(x[None].double(), size, mode="area")[0]
         for x in (srgb_to_linear(scene.image.double()), scene.distance)
     )
-    return Scene(light, distance, (scene.focal_px or 0.0) * WIDTH / whole)
+    return Scene(light, distance, scene.view.focal(whole) * WIDTH / whole)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +82,10 @@ def random_truth(kind: str, rng: np.random.Generator, scene: Scene) -> Truth:
     beta = np.exp(rng.uniform(np.log(0.08), np.log(0.8), 3))
     G = beta * rng.uniform(0.1, 0.8, 3)
     veil = rng.uniform(0.05, 0.6, 3)
-    known = PointSpread.calibrated(scene.focal_px)
-    wider = known.scale * float(np.exp(rng.uniform(-0.4, 0.4)))
+    known = PointSpread.calibrated().scale * scene.focal_px
+    wider = known * float(np.exp(rng.uniform(-0.4, 0.4)))
     exponent, coefficient = float(rng.uniform(0.45, 0.8)), float(rng.uniform(0.3, 0.8))
-    paper = min(scene.distance.shape[-2:]) / PAPER_SIZE
+    paper = min(scene.distance.shape[-2:]) / PAPER_SIDE
     # within 3^½·σ lies half of the light of an exponential, within 1.177 σ of a Gaussian
     law = {
         "exponential": PointSpread(wider, exponent, "exponential"),

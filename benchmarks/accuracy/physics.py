@@ -30,7 +30,7 @@ from scipy.optimize import minimize
 from benchmarks.harness import ROOT, command, save, use_threads
 from uwaug.formation import form_image
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PAPER_SIZE, PointSpread
+from uwaug.optics.point_spread import PAPER_SIDE, PointSpread
 
 PICTURES = ROOT / "tests" / "data" / "monte_carlo.npz"
 STATIONS = {
@@ -96,8 +96,8 @@ def least_error(truths: Sequence[Spread]) -> float:
     return min(errors)
 
 
-_SHIPPED = PointSpread.calibrated(1.0)
-PAPER = Law(0.2, ((1.0, 0.3 * SIZE / PAPER_SIZE / FOCAL, 1.0),))
+_SHIPPED = PointSpread.calibrated()
+PAPER = Law(0.2, ((1.0, 0.3 * SIZE / PAPER_SIDE / FOCAL, 1.0),))
 # the refit to HG .924 and Petzold, but for a g a little above that of least error: far scenes,
 # shown brighter, are then no worse than by the former law
 CALIBRATED = Law(0.05, ((1.0, float(_SHIPPED.scale), float(_SHIPPED.exponent)),), _SHIPPED.shape)

@@ -21,6 +21,8 @@ from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.formation.demand import BlurDemand, blur_demand
 from uwaug.formation.image import form
+from uwaug.formation.setting import Setting
+from uwaug.optics.view import WIDE
 
 RANGES = ((0.05, 1.0), (1.0, 5.0), (1.0, 20.0))
 TOLERANCE = 0.002
@@ -36,7 +38,7 @@ class Probe(NamedTuple):
 
     def formed(self, medium: uwaug.Medium, plan: BlurPlan) -> Tensor:
         """The scene in a medium, linear light."""
-        return form(self.image, self.z, medium.to(self.z), color_space="linear", plan=plan)
+        return form(self.image, self.z, Setting(medium.to(self.z), color_space="linear"), plan=plan)
 
     def error(self, medium: uwaug.Medium, plan: BlurPlan) -> tuple[float, float]:
         """RMSE and largest error at these pixels."""
@@ -46,23 +48,21 @@ class Probe(NamedTuple):
         return float(difference.square().mean().sqrt()), float(difference.max())
 
 
-def laws(width: int) -> dict[str, tuple[float, uwaug.PointSpread]]:
-    """The paper's g and width law, and those calibrated to a picture of 60° so many px wide."""
-    return {
-        "paper": (0.2, uwaug.PointSpread.paper()),
-        "calibrated": (0.05, uwaug.PointSpread.calibrated(0.866 * width)),
-    }
+LAWS = {
+    "paper": (0.2, uwaug.PointSpread.paper()),
+    "calibrated": (0.05, uwaug.PointSpread.calibrated()),
+}
+"""The paper's g and width law, and those calibrated to Monte Carlo transport."""
 
 
 def one_blur_less(demand: BlurDemand, plan: BlurPlan, size: tuple[int, int]) -> BlurPlan | None:
     """The plan with one blur less; None if there is none to spare."""
     if demand.high == 0 or len(plan.sigmas) == 1:
         return None
-    reference = demand.reference_size
-    scale = 1.0 if reference is None else min(size) / reference
-    low, high = demand.low * scale, demand.high * scale
+    unit = demand.law.pixels(size, demand.view)
+    low, high = demand.low * unit, demand.high * unit
     for tolerance in np.geomspace(TOLERANCE, 0.9, 60):
-        other = plan_blur(low, high, float(tolerance), demand.shape, max(size))
+        other = plan_blur(low, high, float(tolerance), demand.law.shape, max(size))
         if len(other.sigmas) < len(plan.sigmas):
             return other
     return None
@@ -79,8 +79,8 @@ def probe(medium: uwaug.Medium, distances: tuple[float, float], pixels: int) -> 
     at = torch.randperm(h * w, generator=torch.Generator().manual_seed(0))[:pixels]
     zs = z.double().flatten()[at]
     signal, direct, veil = medium.signal(zs), medium.transmission(zs), medium.backscatter(zs)
-    widths = medium.width(z.double(), (h, w))[0, 0]
-    blur = exact_exponential if medium.point_spread.shape == "exponential" else blur_exact
+    widths = medium.in_pixels((h, w), WIDE).width(z.double())[0, 0]
+    blur = exact_exponential if medium.law.shape == "exponential" else blur_exact
     scattered = blur(image[0], widths, at)
     seen = image.double()[0].flatten(1)[:, at]
     exact = direct[0] * seen + (signal[0] - direct[0]) * scattered + veil[0]
@@ -92,7 +92,7 @@ def cell(
 ) -> dict[str, Any]:
     """One cell of the table."""
     h, w = motorcycle()[0].shape[-2:]
-    g, point_spread = laws(w)[law]
+    g, point_spread = LAWS[law]
     options = {"g": g, "point_spread": point_spread}
     water = uwaug.Water.jerlov(name)
     medium = uwaug.Medium.from_water(water, tolerance=TOLERANCE, **options)

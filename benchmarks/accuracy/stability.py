@@ -65,9 +65,17 @@ def ours(case: Case) -> Tensor:
 
 
 def _medium(case: Case) -> uwaug.Medium:
-    law = uwaug.PointSpread(case.scale, case.exponent)
+    medium = _without_blur(case)
+    scale, exponent = (
+        torch.as_tensor(number).to(medium.beta).expand(len(medium))
+        for number in (case.scale, case.exponent)
+    )
+    return replace(medium, scale=scale, exponent=exponent)
+
+
+def _without_blur(case: Case) -> uwaug.Medium:
     if case.spectra is None:
-        options = {"light": case.light, "b_mean": case.b_mean, "point_spread": law}
+        options = {"light": case.light, "b_mean": case.b_mean}
         medium = uwaug.Medium.from_coefficients(case.beta, case.G, case.veil, **options)
         return medium if case.colours is None else _coloured(medium, case.colours)
     s, ascending = case.spectra, sorted(WAVELENGTHS)
@@ -84,7 +92,7 @@ def _medium(case: Case) -> uwaug.Medium:
         g=s.g,
         mu=s.mu,
         tolerance=0,
-        point_spread=law,
+        point_spread=uwaug.PointSpread.none(),
         surfaces="grey" if case.colours is None else "spectral",
     )
 

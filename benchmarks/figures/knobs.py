@@ -2,6 +2,7 @@
 middle of its range.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -70,8 +71,8 @@ def transform(name: str, value: Any, width: int) -> RandomUnderwater:
     if name == "mixing":
         water["waters"] = f"{1 - value}*{WATER}+{value}*9C"
     elif name == "point_spread":
-        law = PointSpread.calibrated(0.866 * width)
-        water[name] = PointSpread(law.scale * value, law.exponent, law.shape)
+        law = PointSpread.calibrated()
+        water[name] = replace(law, scale=law.scale * value)
     elif name == "field":
         water[name] = (1 - value, 1 + value)
     elif name == "noise":

@@ -20,7 +20,7 @@ from uwaug import (
 )
 from uwaug._support import codec
 
-LAW = PointSpread(torch.tensor([0.5, 2.0]), 0.7, "exponential")
+LAW = PointSpread(0.5, 0.7, "exponential")
 VALUES = {
     "width law": PointSpread.paper(),
     "development": Development("auto", tone=1.3, gamut=0.5),
@@ -41,7 +41,7 @@ def test_there_and_back_as_json(name: str) -> None:
 
 def test_what_is_as_by_default_is_not_stored() -> None:
     assert codec.to_plain(Development()) == {"kind": "Development"}
-    stored = {"kind": "PointSpread", "scale": [0.5, 2.0], "exponent": 0.7, "shape": "exponential"}
+    stored = {"kind": "PointSpread", "scale": 0.5, "exponent": 0.7, "shape": "exponential"}
     assert codec.to_plain(LAW) == stored
     assert codec.from_plain({"scale": 2.0}, PointSpread) == PointSpread(2.0)
 

@@ -10,6 +10,8 @@ from uwaug import PointSpread
 from uwaug.blur.plan import plan_blur
 from uwaug.blur.stack import varying_blur
 from uwaug.formation.demand import BlurDemand, blur_demand
+from uwaug.optics.point_spread import Law
+from uwaug.optics.view import View
 
 RANGES = [(0.9, 4.5), (0.75, 15.0), (2.0, 60.0)]
 
@@ -135,9 +137,19 @@ def test_demand_leaves_out_what_cannot_show() -> None:
 
 
 def test_a_plan_for_all_sizes_serves_pictures_four_times_as_long() -> None:
-    demand = BlurDemand(2.0, 3.0, 0.01, "exponential", 96.0)
-    expected = plan_blur(2.0 * 32 / 96, 3.0 * 144 / 96, 0.01, "exponential", 4 * 144)
-    assert demand.plan_all((32, 144)) == expected
+    paper = BlurDemand(2.0, 3.0, 0.01, Law("exponential", "paper"))
+    expected = plan_blur(2.0 * 32 / 518, 3.0 * 144 / 518, 0.01, "exponential", 4 * 144)
+    assert paper.plan_all((32, 144)) == expected
+    # a picture is at least as wide as its short side, and 4 times as wide as the largest at most
+    focal = BlurDemand(0.02, 0.03, 0.01, Law("exponential", "focal"), View(90.0))
+    expected = plan_blur(
+        0.02 * focal.law.pixels((32, 32), View(90.0)),
+        0.03 * 4 * 144 / 2,
+        0.01,
+        "exponential",
+        4 * 144,
+    )
+    assert focal.plan_all((32, 144)) == expected
 
 
 def test_similar_media_share_a_plan() -> None:

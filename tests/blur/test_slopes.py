@@ -15,6 +15,7 @@ from uwaug import Medium, PointSpread, Underwater, Water, form_image
 from uwaug._support.types import Shape
 from uwaug.formation.demand import blur_demand
 from uwaug.formation.image import form
+from uwaug.formation.setting import Setting
 
 SIDE, NEAR, FAR = 48, 1.0, 5.5  # px, m
 Model = Callable[[Medium], Tensor]
@@ -39,8 +40,8 @@ def exact_blur(image: Tensor, sigma: Tensor, shape: Shape) -> Tensor:
 def exact(image: Tensor, z: Tensor, medium: Medium) -> Tensor:
     """The model with that blur."""
     direct, signal = medium.transmission(z), medium.signal(z)
-    sigma = medium.width(z, (SIDE, SIDE))[0, 0]
-    scattered = exact_blur(image[0], sigma, medium.point_spread.shape)
+    sigma = medium.width(z)[0, 0]
+    scattered = exact_blur(image[0], sigma, medium.law.shape)
     return direct * image + (signal - direct) * scattered + medium.backscatter(z)
 
 
@@ -54,12 +55,12 @@ def scene() -> tuple[Tensor, Tensor]:
 
 
 def with_scale(medium: Medium, scale: float | Tensor) -> Medium:
-    return replace(medium, point_spread=replace(medium.point_spread, scale=scale))
+    return replace(medium, scale=torch.as_tensor(scale, dtype=torch.float64).reshape(1))
 
 
 def slope(model: Model, medium: Medium, target: Tensor) -> float:
     """d/d scale of the mean squared distance of a model's picture to a target."""
-    scale = torch.tensor([medium.point_spread.scale], dtype=torch.float64, requires_grad=True)
+    scale = medium.scale.clone().requires_grad_()
     loss = (model(with_scale(medium, scale)) - target).square().mean()
     return float(torch.autograd.grad(loss, scale)[0])
 
@@ -72,7 +73,8 @@ def test_the_slope_in_the_width_is_that_of_the_exact_model(name: str, shape: Sha
     # widths of 2…11 px
     exponent = math.log(11 / 2) / math.log(FAR / NEAR)
     law = PointSpread(2 / (float(medium.b_mean) * NEAR) ** exponent, exponent, shape)
-    medium = replace(medium, point_spread=law)
+    numbers = (torch.tensor([x], dtype=torch.float64) for x in (law.scale, law.exponent))
+    medium = replace(medium, **dict(zip(("scale", "exponent"), numbers, strict=True)), law=law.law)
     with torch.no_grad():
         wider = exact(image, z, with_scale(medium, 1.3 * law.scale))
         other = Medium.from_water(Water.jerlov("5C"), point_spread=law)
@@ -90,7 +92,7 @@ def test_the_slope_in_the_width_is_that_of_the_exact_model(name: str, shape: Sha
         return (up - down) / (2 * step)
 
     right = per_pixel(lambda m: exact(image, z, m))
-    ours = per_pixel(lambda m: form(image, z, m, color_space="linear", plan=plan))
+    ours = per_pixel(lambda m: form(image, z, Setting(m, color_space="linear"), plan=plan))
     assert (ours - right).norm() <= 0.03 * right.norm()
 
 
@@ -102,8 +104,8 @@ def test_a_narrow_width_can_be_learned(name: str, scale: float, shape: Shape) ->
     image, z = scene()
     width = torch.tensor([scale], dtype=torch.float64, requires_grad=True)
     exponent = torch.tensor([1.0], dtype=torch.float64, requires_grad=True)
-    law = PointSpread(width, exponent, shape)
-    medium = Medium.from_water(Water.jerlov(name), point_spread=law)
+    medium = Medium.from_water(Water.jerlov(name), point_spread=PointSpread(1.0, 1.0, shape))
+    medium = replace(medium, scale=width, exponent=exponent)
     form_image(image, z, medium).image.square().sum().backward()
     assert width.grad is not None
     assert exponent.grad is not None
@@ -136,7 +138,7 @@ def test_a_width_is_learned_from_far_away(start: float) -> None:
         return value.detach()
 
     optimiser.step(loss)
-    learned = degrade.medium.point_spread.scale.detach()
+    learned = degrade.medium.scale.detach()
     assert float(learned) == pytest.approx(4.0, rel=0.02)
     # the module that is exported plans for what was learned, and so does one that loads its state
     assert degrade.demand.high >= float(learned) * 0.3 * 6.0

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from uwaug import JERLOV_TYPES, Water, fast
+from uwaug import Water, fast
 from uwaug._support.compiled import compiled
 from uwaug.formation import demand
 from uwaug.optics import quadrature, water
@@ -34,7 +34,7 @@ def test_compiled_functions_call_each_other() -> None:
 
 
 @pytest.mark.parametrize("tolerance", [0.02, 0.002, 1e-5])
-@pytest.mark.parametrize("name", JERLOV_TYPES)
+@pytest.mark.parametrize("name", ["I", "5C", "9C"])
 def test_quadrature(name: str, tolerance: float) -> None:
     spectra = Water.jerlov(name).at(default_bands(Water.jerlov(name)))
     weights = np.random.default_rng(0).normal(0.02, 0.02, (6, 61))

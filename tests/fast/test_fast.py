@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 import torch
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from referees.conditions import Case, conditions
 from scenes import coefficients, rand, stepped
 from torch import Tensor
@@ -21,6 +23,7 @@ from uwaug import (
     Development,
     Lamp,
     Light,
+    MarineSnow,
     Medium,
     PointSpread,
     Sensor,
@@ -28,8 +31,7 @@ from uwaug import (
     fast,
 )
 from uwaug.fast import gate
-from uwaug.formation.demand import blur_demand
-from uwaug.formation.image import form
+from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
 
 pytest.importorskip("numba")
@@ -39,25 +41,6 @@ from uwaug.fast import kernels, render
 CONDITIONS = {name: case for group in conditions().values() for name, case in group.items()}
 ERROR = 2e-6
 """Of sRGB values: light has some three roundings of 6e-8, and the curve a slope of up to 12.92."""
-
-DEVELOPMENTS = {
-    "none": Development(),
-    "metered": Development("auto"),
-    "stops": Development(-1.3),
-    "white balance": Development(white_balance=0.7),
-    "saturation": Development(saturation=1.7),
-    "gamut": Development(gamut=1.0),
-    "more contrast": Development(tone=1.6),
-    "less contrast": Development(tone=0.6),
-    "all": Development(0.5, 0.6, 1.4, 0.8, 1.3, metered=True),
-    "noise": Development("auto", 0.6, tone=1.3, noise=Sensor(1000, seed=1)),
-    "noise of all": Development(0.5, 0.6, 1.4, 0.8, 1.3, metered=True, noise=Sensor(1000, seed=1)),
-}
-MEDIA = {
-    "grey": lambda: Medium.from_water("1C"),
-    "spectral": lambda: Medium.from_water("II", surfaces="spectral", vertical_depth=6.0),
-    "batch": lambda: Medium.stack([coefficients(seed) for seed in (1, 2)]),
-}
 
 
 @pytest.fixture(autouse=True)
@@ -74,23 +57,121 @@ def rendered(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return calls
 
 
-def formed(image: Tensor, z: Tensor, medium: Medium, most: float = ERROR, **options: Any) -> Tensor:
+# ---- loops and PyTorch are one function
+
+
+def formed(degrade: Underwater, image: Tensor, z: Tensor, most: float, *field: Tensor) -> Tensor:
     """What the loops make of a picture; refuses one that PyTorch does not make in double
     precision.
     """
-    z = z.float()
-    values = image / 255 if image.dtype == torch.uint8 else image
-    assert fast.can(image, z, medium.to(torch.float32), options.get("light"))
-    metres = options.pop("metres", None)
-    near = metres if metres is None else metres.float()
-    ours = form(image, z, medium.to(torch.float32), metres=near, **options)
-    near = near if near is None else near.double()
-    exact = form(values.double(), z.double(), medium.to(torch.float64), metres=near, **options)
+    z, values = z.float(), image / 255 if image.dtype == torch.uint8 else image
+    assert fast.can(image, z, degrade.setting(degrade.medium.to(torch.float32)))
+    ours = degrade(image, z, *(x.float() for x in field))
+    exact = degrade(values.double(), z.double(), *(x.float().double() for x in field))
     if image.dtype == torch.uint8:  # rounded, and clipped as bytes are
         exact, most = 255 * exact.clamp(0, 1), 0.5 + 255 * most
+    elif degrade.color_space == "linear":  # of any range
+        most *= max(1.0, float(exact.abs().max()))
     assert ours.dtype == image.dtype
     torch.testing.assert_close(ours.double(), exact, rtol=0, atol=most)
     return ours
+
+
+DEVELOPMENTS = {
+    "none": Development(),
+    "metered": Development("auto"),
+    "stops": Development(-1.3),
+    "white balance": Development(white_balance=0.7),
+    "saturation": Development(saturation=1.7),
+    "gamut": Development(gamut=1.0),
+    "more contrast": Development(tone=1.6),
+    "less contrast": Development(tone=0.6),
+    "all": Development(0.5, 0.6, 1.4, 0.8, 1.3, metered=True),
+    "noise": Development("auto", 0.6, tone=1.3, noise=Sensor(1000, seed=1)),
+    "noise of all": Development(0.5, 0.6, 1.4, 0.8, 1.3, metered=True, noise=Sensor(1000, seed=1)),
+}
+SNOW = MarineSnow(3000, seed=7)
+MEDIA = {
+    "grey": lambda: Medium.from_water("1C"),
+    "spectral": lambda: Medium.from_water("II", surfaces="spectral", vertical_depth=6.0),
+    "batch": lambda: Medium.stack([coefficients(seed) for seed in (1, 2)]),
+    "snowy": lambda: coefficients(4).with_snow(SNOW),
+    "spectral, snowy": lambda: MEDIA["spectral"]().with_snow(SNOW),
+    "one of two snowy": lambda: Medium.stack([coefficients(4).with_snow(SNOW), coefficients(5)]),
+}
+LAWS = {
+    "none": PointSpread.none(),
+    "narrow": PointSpread(0.3),
+    "coarse": PointSpread(30.0, 0.5),
+    "from none to coarse": PointSpread(4.0, 2.0),
+    "heavy tails": PointSpread(15.0, 0.62, "exponential"),
+}
+MEDIA |= {f"blur {name}": lambda law=law: coefficients(3, law) for name, law in LAWS.items()}
+BESIDE = Lamp((0.4, -0.3, 0.0), 3.0, (-0.1, 0.1, 1.0), cone=45.0)
+AHEAD = Lamp((0.1, 0.05, 1.5), 0.5, (0.0, 0.3, -1.0), cone=80.0)
+LIGHTS = {
+    "of the medium": None,
+    "a lamp": Light((BESIDE,), daylight=0.0),
+    "lamps": Light((BESIDE, Lamp((-0.5, 0.0, -0.2), 2.0, color=(1.0, 0.5, 0.2))), daylight=0.3),
+    "in view": Light((AHEAD,)),
+    "away": Light((Lamp((0.2, 0.0, 0.0), 2.0, (1.0, 0.0, -0.2), cone=90.0),)),
+    "dim daylight": Light(daylight=0.4),
+    "looking up": Light(pitch=12.0),
+    "looking down, by lamp": Light((BESIDE,), daylight=0.3, pitch=-20.0),
+}
+SIZES = [(1, 1), (1, 9), (7, 5), (3, 300), (300, 3), (40, 257), (40, 270), (33, 70), (70, 90)]
+
+
+def any_of(names: Any) -> "st.SearchStrategy[Any]":
+    return st.sampled_from(list(names))
+
+
+@settings(max_examples=120)
+@given(
+    medium=any_of(MEDIA),
+    light=any_of(LIGHTS),
+    development=any_of(DEVELOPMENTS),
+    size=any_of(SIZES),
+    images=any_of([1, 2]),
+    maps=any_of([1, 2]),
+    field=any_of([None, 0.7]),
+    space=any_of(["srgb", "linear"]),
+    planned=st.booleans(),
+    as_bytes=st.booleans(),
+    far=any_of([6.0, 15.0]),
+)
+@example("grey", "of the medium", "none", (1, 1), 2, 2, None, "srgb", False, True, 15.0)
+@example("batch", "of the medium", "none", (3, 300), 1, 2, None, "srgb", False, False, 15.0)
+@example("spectral", "in view", "noise of all", (40, 270), 1, 1, 0.7, "srgb", False, False, 15.0)
+@example("grey", "lamps", "metered", (40, 257), 1, 1, None, "linear", False, False, 15.0)
+@example("snowy", "lamps", "all", (70, 90), 1, 1, 0.7, "srgb", False, False, 6.0)
+@example("blur from none to coarse", "a lamp", "none", (70, 90), 1, 1, None, "linear", True, 0, 6.0)
+@example("spectral", "looking up", "metered", (33, 70), 2, 2, None, "srgb", False, False, 6.0)
+def test_loops_are_pytorch(
+    medium: str,
+    light: str,
+    development: str,
+    size: tuple[int, int],
+    images: int,
+    maps: int,
+    field: float | None,
+    space: Any,
+    planned: bool,
+    as_bytes: bool,
+    far: float,
+) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("UWAUG_FAST", raising=False)
+        image, z = rand(images, 3, *size).float(), stepped(maps, 1, *size, far=far)
+        image = (255 * image).byte() if as_bytes else image
+        chosen, lit = DEVELOPMENTS[development], LIGHTS[light]
+        # brighter light has larger roundings; below black, curves of less contrast are steep
+        most = ERROR if lit is None and chosen == Development() else 4 * ERROR
+        most = 5e-5 if chosen.tone < 1 else 2e-5 if "snowy" in medium else most
+        options: dict[str, Any] = {"development": chosen, "light": lit, "color_space": space}
+        span = (0.0, 20.0) if planned else None
+        degrade = Underwater(MEDIA[medium](), span, **options)
+        formed(degrade, image, z, most, *([] if field is None else [torch.full_like(z, field)]))
 
 
 @pytest.mark.parametrize("name", CONDITIONS)
@@ -110,99 +191,30 @@ def test_every_condition(name: str, rendered: list[Any]) -> None:
     torch.testing.assert_close(ours.double(), exact, rtol=0, atol=rounding * case.peak)
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 5), (3, 300), (300, 3), (40, 257)], ids=str)
-@pytest.mark.parametrize("space", ["srgb", "linear"])
-@pytest.mark.parametrize("medium", MEDIA)
-def test_every_size(medium: str, space: Any, size: tuple[int, int]) -> None:
-    image, z = rand(2, 3, *size).float(), stepped(2, 1, *size, far=15.0)
-    formed(image, z, MEDIA[medium](), color_space=space)
-    formed((image * 255).to(torch.uint8), z, MEDIA[medium](), color_space=space)
-
-
-LAWS = {
-    "none": PointSpread.none(),
-    "narrow": PointSpread(0.3),
-    "coarse": PointSpread(30.0, 0.5),
-    "from none to coarse": PointSpread(4.0, 2.0),
-    "heavy tails": PointSpread.calibrated(500.0),
-    "of each medium": PointSpread(torch.tensor([2.0]), torch.tensor([0.7])),
-}
-
-
-@pytest.mark.parametrize("planned", [False, True])
-@pytest.mark.parametrize("law", LAWS)
-def test_every_blur(law: str, planned: bool) -> None:
-    image, z, medium = rand(1, 3, 70, 90).float(), stepped(1, 1, 70, 90), coefficients(3, LAWS[law])
-    plan = blur_demand(medium, (0.0, 20.0), 0.001).plan((70, 90)) if planned else None
-    formed(image, z, medium, plan=plan, color_space="linear")
-
-
-@pytest.mark.parametrize("development", DEVELOPMENTS)
-@pytest.mark.parametrize("medium", ["grey", "spectral"])
-def test_every_development(medium: str, development: str) -> None:
-    chosen = DEVELOPMENTS[development]
-    image, z = rand(1, 3, 33, 70).float() ** 2, stepped(1, 1, 33, 70)
-    # brighter light has larger roundings; below black, curves of less contrast are steep
-    most = 5e-5 if chosen.tone < 1 else 4 * ERROR
-    for space in ("linear", "srgb"):
-        formed(image, z, MEDIA[medium](), most, development=chosen, color_space=space)
-
-
-BESIDE = Lamp((0.4, -0.3, 0.0), 3.0, (-0.1, 0.1, 1.0), cone=45.0)
-LIGHTS = {
-    "a lamp": Light((BESIDE,), daylight=0.0),
-    "lamps": Light((BESIDE, Lamp((-0.5, 0.0, -0.2), 2.0, color=(1.0, 0.5, 0.2))), daylight=0.3),
-    "in view": Light((Lamp((0.1, 0.05, 1.5), 0.5, (0.0, 0.3, -1.0), cone=80.0),), view=75.0),
-    "away": Light((Lamp((0.2, 0.0, 0.0), 2.0, (1.0, 0.0, -0.2), cone=90.0),)),
-    "dim daylight": Light(daylight=0.4),
-}
-
-
-@pytest.mark.parametrize("field", [None, 0.7])
-@pytest.mark.parametrize("development", ["none", "metered", "all", "noise of all"])
-@pytest.mark.parametrize("medium", MEDIA)
-@pytest.mark.parametrize("light", LIGHTS)
-def test_every_light(light: str, medium: str, development: str, field: float | None) -> None:
-    image, z = rand(1, 3, 40, 270).float(), stepped(1, 1, 40, 270, far=15.0)
-    metres = None if field is None else z / field
-    options = {"light": LIGHTS[light], "development": DEVELOPMENTS[development]}
-    formed(image, z, MEDIA[medium](), 4 * ERROR, metres=metres, **options)
-
-
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.0, 0.0, 2.0), (0.0, 0.0, -1.0)])
-@pytest.mark.parametrize("far", [0.0, 1e-3, 2.0, FARTHEST])
-def test_where_rays_meet_lamps(place: tuple[float, float, float], far: float) -> None:
-    image, z = rand(1, 3, 9, 9).float(), torch.full((1, 1, 9, 9), 3.0)
-    z[..., 4:6, 4:6] = far
+def test_where_rays_meet_lamps(place: tuple[float, float, float]) -> None:
     lamps = Lamp(place, 0.1, cone=70.0), Lamp(place, 0.1, aim=(1.0, 0.0, 0.0), cone=90.0)
-    formed(image, z, MEDIA["spectral"](), 4 * ERROR, light=Light(lamps))
-
-
-@pytest.mark.parametrize("images, maps, media", [(1, 1, 3), (3, 1, 1), (2, 2, 2), (1, 2, 2)])
-def test_batches(images: int, maps: int, media: int) -> None:
-    medium = Medium.stack([coefficients(seed=n) for n in range(media)])
-    formed(rand(images, 3, 33, 65).float(), stepped(maps, 1, 33, 65), medium)
+    degrade = Underwater(MEDIA["spectral"](), None, light=Light(lamps))
+    for far in (0.0, 1e-3, 2.0, FARTHEST):
+        image, z = rand(1, 3, 9, 9).float(), torch.full((1, 1, 9, 9), 3.0)
+        z[..., 4:6, 4:6] = far
+        formed(degrade, image, z, 4 * ERROR)
 
 
 def test_bright_pictures_keep_their_largest_value() -> None:
     image = rand(2, 3, 20, 30).float() * torch.tensor([1.0, 4.0]).reshape(2, 1, 1, 1)
-    ours = formed(image, torch.zeros(1, 1, 20, 30), Medium.from_water("I"), 4 * ERROR)
-    assert ours[1].max() > 1.5
+    degrade = Underwater(Medium.from_water("I"), None)
+    assert formed(degrade, image, torch.zeros(1, 1, 20, 30), 4 * ERROR)[1].max() > 1.5
 
 
 def test_decoding_and_encoding_undo_each_other() -> None:
     values = torch.linspace(0, 1, 30_000).reshape(1, 3, 100, 100)
-    air = Medium.from_coefficients([0.0] * 3, [0.0] * 3, [0.0] * 3)
-    ours = formed(values, torch.zeros(1, 1, 100, 100), air, 8e-7)
+    air = Underwater(Medium.from_coefficients([0.0] * 3, [0.0] * 3, [0.0] * 3), None)
+    ours = formed(air, values, torch.zeros(1, 1, 100, 100), 8e-7)
     assert (ours[0, 0, 0, 0], ours.max(), ours[0, -1, -1, -1]) == (0, 1, 1)
 
 
 # ---- the gate
-
-
-class OwnLaw(PointSpread):
-    def sigma(self, *arguments: Any) -> Tensor:
-        return 2 * super().sigma(*arguments)
 
 
 class OwnMedium(Medium):
@@ -217,9 +229,14 @@ class OwnCurves(Medium):
         return super().curves(2 * z)
 
 
+class OwnWidth(Medium):
+    def width(self, z: Tensor) -> Tensor:
+        return 2 * super().width(z)
+
+
 IMAGE, Z, WATER = rand(1, 3, 20, 30).float(), stepped(1, 1, 20, 30).float(), coefficients()
-LEARNED = Medium.of_tensors([t.clone().requires_grad_() for t in WATER.tensors()], PointSpread(1.0))
-LEARNED_LAW = coefficients(law=PointSpread(torch.tensor([1.0], requires_grad=True)))
+LEARNED = WATER.map(lambda t: t.clone().requires_grad_())
+LEARNED_LAW = replace(WATER, scale=torch.ones(1, dtype=torch.float64, requires_grad=True))
 
 
 @pytest.mark.parametrize(
@@ -229,33 +246,32 @@ LEARNED_LAW = coefficients(law=PointSpread(torch.tensor([1.0], requires_grad=Tru
         {"z": Z.clone().requires_grad_()},
         {"medium": LEARNED},
         {"medium": LEARNED_LAW},
-        {"medium": OwnCurves(*WATER.tensors(), WATER.point_spread)},
+        {"medium": OwnCurves(*WATER.tensors())},
+        {"medium": OwnWidth(*WATER.tensors())},
         {"z": Z.double()},
         {"image": IMAGE.to("meta")},
         {"light": object()},
+        {"development": Development(exposure=torch.tensor(0.5, requires_grad=True))},
     ],
     ids=lambda change: next(iter(change)),
 )
 def test_the_gate_is_closed(change: dict[str, Any]) -> None:
-    given = {"image": IMAGE, "z": Z, "medium": WATER, "light": None}
-    assert fast.can(**given)
-    assert not fast.can(**given | change)
+    assert fast.can(IMAGE, Z, Setting(WATER))
+    image, z = change.pop("image", IMAGE), change.pop("z", Z)
+    assert not fast.can(image, z, Setting(**{"medium": WATER, **change}))
 
 
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
 @pytest.mark.parametrize("lit", [False, True])
-@pytest.mark.parametrize("kind", ["law", "terms"])
-def test_what_is_of_distance_alone_acts_in_the_loops(kind: str, lit: bool, surfaces: Any) -> None:
+def test_further_terms_act_in_the_loops(lit: bool, surfaces: Any) -> None:
     plain = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(3.0, 0.8))
-    own = replace(plain, point_spread=OwnLaw(3.0, 0.8))
-    if kind == "terms":
-        own = OwnMedium(*plain.tensors(), plain.point_spread, bands=plain.bands)
+    own = OwnMedium(*plain.tensors())
     light = Light((Lamp(),), daylight=0.5) if lit else None
     development = Development("auto", saturation=1.2, gamut=0.5)
     pictures = []
     for medium in (own, plain):
         degrade = Underwater(medium, None, development=development, light=light)
-        assert fast.can(IMAGE, Z, medium, light, development)
+        assert fast.can(IMAGE, Z, Setting(medium, light, development))
         pictures.append(degrade(IMAGE, Z))
         exact = degrade(IMAGE.double(), Z.double())
         torch.testing.assert_close(pictures[-1].double(), exact, rtol=0, atol=1e-5)
@@ -264,8 +280,8 @@ def test_what_is_of_distance_alone_acts_in_the_loops(kind: str, lit: bool, surfa
 
 def test_the_gate_is_open_where_gradients_are_off_and_to_bytes() -> None:
     with torch.no_grad():
-        assert fast.can(IMAGE.clone().requires_grad_(), Z, LEARNED, None)
-    assert fast.can((255 * IMAGE).byte(), Z, WATER, None)
+        assert fast.can(IMAGE.clone().requires_grad_(), Z, Setting(LEARNED))
+    assert fast.can((255 * IMAGE).byte(), Z, Setting(WATER))
 
 
 def test_the_switches(rendered: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:

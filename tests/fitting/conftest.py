@@ -39,7 +39,7 @@ def water() -> Fit:
         uwaug.Water.jerlov("3C").with_contrast(0.02, 5),
         vertical_depth=3.0,
         g=Scattering.CALIBRATED.g,
-        point_spread=uwaug.PointSpread.calibrated(0.866 * 105),
+        point_spread=uwaug.PointSpread.calibrated(),
         surfaces="spectral",
         tolerance=0,
     )

@@ -9,8 +9,9 @@ import torch
 from texts import require_room
 
 import uwaug
-from uwaug.fitting import Fit, Parameter, load_fit
+from uwaug.fitting import Parameter, load_fit
 from uwaug.formation.colour import linear_to_srgb
+from uwaug.optics.view import WIDE
 
 
 @pytest.fixture(params=["auto", "haze", "water", "veil"])
@@ -21,17 +22,13 @@ def result(request):
 def test_saved_and_loaded(result, tmp_path):
     path = tmp_path / "fit.json"
     result.save(path)
+    assert list(tmp_path.iterdir()) == [path]
     again = load_fit(path)
     assert again.summary() == result.summary() == str(result)
-    assert again.parameters == result.parameters
-    assert again.errors == result.errors
-    assert again.water == result.water
-    assert (again.geometry, again.candidates) == (result.geometry, result.candidates)
+    for name in ("parameters", "errors", "water", "geometry", "candidates"):
+        assert getattr(again, name) == getattr(result, name)
     np.testing.assert_array_equal(again.covariance, result.covariance)
-    for a, b in zip(again.medium.tensors(), result.medium.tensors(), strict=True):
-        torch.testing.assert_close(a, b, rtol=0, atol=0)
-    assert again.medium.point_spread == result.medium.point_spread
-    assert list(tmp_path.iterdir()) == [path]
+    assert again.medium.law == result.medium.law
     with pytest.raises(ValueError, match="has no clean pictures"):
         again.rendered()
     x, z = torch.rand(3, 30, 40), torch.rand(1, 30, 40) + 1
@@ -42,15 +39,11 @@ def test_files_that_are_none(haze, tmp_path):
     path = tmp_path / "fit.json"
     with pytest.raises(FileNotFoundError):
         load_fit(path)
-    plain = haze.to_dict()
-    for text in (
-        "{",
-        "[]",
-        json.dumps({**plain, "kind": "Medium"}),
-        json.dumps({**plain, "colour": 1}),
-        json.dumps({key: x for key, x in plain.items() if key != "medium"}),
-    ):
-        path.write_text(text)
+    haze.save(path)
+    plain = json.loads(path.read_text())
+    without = {key: x for key, x in plain.items() if key != "medium"}
+    for data in ([], {**plain, "kind": "Medium"}, {**plain, "colour": 1}, without):
+        path.write_text(json.dumps(data))
         with pytest.raises(ValueError, match=r"fit\.json: not a fit"):
             load_fit(path)
 
@@ -68,10 +61,10 @@ def test_the_module_makes_the_picture(auto, known):
 def test_width_of_the_medium_is_that_of_the_fit(auto):
     h, w = auto.geometry.size
     at = torch.full((1, 1, 1, 1), auto.geometry.reference, dtype=torch.float64)
-    sigma = float(auto.medium.width(at, (h, w)))
+    sigma = float(auto.medium.in_pixels((h, w), WIDE).width(at))
     assert sigma == pytest.approx(auto.parameters["width"].value, rel=1e-9)
     # twice the picture, twice the px
-    assert float(auto.medium.width(at, (2 * h, 2 * w))) == pytest.approx(2 * sigma)
+    assert float(auto.medium.in_pixels((2 * h, 2 * w), WIDE).width(at)) == pytest.approx(2 * sigma)
 
 
 def test_a_summary_says_what_its_numbers_are(auto, haze):
@@ -84,11 +77,6 @@ def test_a_summary_says_what_its_numbers_are(auto, haze):
     assert "of direct and forward" not in auto.summary()
     sharp = Parameter(0.3, 1e-9, 0.3 - 2e-9, 0.3 + 2e-9, "1/m", "free")
     assert "0.299999998 … 0.300000002" in replace(auto, parameters={"G_red": sharp}).summary()
-
-
-def test_covariance_is_that_of_the_errors(auto):
-    errors = [number.error for number in auto.parameters.values()]
-    np.testing.assert_allclose(np.sqrt(np.diag(auto.covariance)), errors)
 
 
 def test_no_text_overlaps_or_leaves_the_picture(result, monkeypatch):
@@ -114,7 +102,5 @@ def test_a_sheet_shows_what_is_left(auto):
 
 
 def test_a_fit_draws_pictures_of_its_own_water(water):
-    aug = uwaug.RandomUnderwater(water.water)
     x, z = torch.rand(3, 30, 40), torch.rand(1, 30, 40) + 1
-    assert aug(x, z)[0].shape == x.shape
-    assert isinstance(Fit.from_dict(water.to_dict()).water, uwaug.Water)
+    assert uwaug.RandomUnderwater(water.water)(x, z)[0].shape == x.shape

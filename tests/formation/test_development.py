@@ -12,6 +12,7 @@ from torch import Tensor
 
 from uwaug import Development, Lamp, Light, Medium, PointSpread, Underwater, form_image
 from uwaug.formation.development import GAINS, compressed, curved, exposed, metering_points
+from uwaug.optics.view import WIDE
 
 ALL = {"exposure": 0.5, "white_balance": 0.6, "saturation": 1.4, "gamut": 0.8, "tone": 1.3}
 STAGES: dict[str, dict[str, float]] = {
@@ -92,13 +93,13 @@ def test_under_lamps_no_more_than_a_twentieth_burns_out() -> None:
     medium = Medium.from_water("II", g=0.05)
     light = Light((Lamp((0.3, 0.0, 0.0), 9.0),), daylight=0.0)
     terms = form_image(image, z, medium, light=light).image
-    gain = Development("auto").gain(image, z, medium, light.curves(medium, z))
+    gain = Development("auto").gain(image, z, medium, light.curves(medium, z, WIDE))
     after = (WEIGHTS * exposed(terms, gain)).sum(1)
     assert float((after > 1).double().mean()) == pytest.approx(0.05, abs=0.01)
     # on a wall that is lit evenly, the mean luminance is kept
     image, z = 0.5 * rand(1, 3, 60, 80), torch.full((1, 1, 60, 80), 5.0).double()
     even = Light((Lamp((0.0, 0.0, -100.0), 1e4),), daylight=0.0)
-    gain = Development("auto").gain(image, z, CLEAR, even.curves(CLEAR, z))
+    gain = Development("auto").gain(image, z, CLEAR, even.curves(CLEAR, z, WIDE))
     after = exposed(form_image(image, z, CLEAR, light=even).image, gain)
     before, after = (float((WEIGHTS * x).sum(1).mean()) for x in (image, after))
     assert after == pytest.approx(before, rel=0.02)

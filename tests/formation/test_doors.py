@@ -144,25 +144,14 @@ def test_contrast_left_refuses(change: Any, error: type[Exception], message: str
 
 LAWS: list[tuple[tuple[Any, ...], str]] = [
     ((-1.0,), "scale must be finite and ≥ 0, got -1"),
-    ((torch.tensor([1.0, -2.0]),), r"scale must be finite and ≥ 0, got \[1.0, -2.0\]"),
-    ((torch.ones(3, 1),), r"scale must be a number or a floating-point tensor.*\(3, 1\)"),
-    ((torch.ones(3, dtype=torch.int64),), "scale must be a number or .* got torch.int64"),
+    ((torch.ones(3),), "scale must be a number, got a tensor"),
     ((1.0, 0.0), "exponent must be finite and ≥ 0.001, got 0"),
     ((1.0, 1.0, "lorentzian"), "shape.*lorentzian"),
-    ((1.0, 1.0, "gaussian", math.nan), "reference_size.*nan"),
+    ((1.0, 1.0, "gaussian", "m"), "unit must be one of px, paper, focal, got 'm'"),
 ]
 
 
 @pytest.mark.parametrize("arguments, message", LAWS)
 def test_a_width_law_refuses(arguments: tuple[Any, ...], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((TypeError, ValueError), match=message):
         PointSpread(*arguments)
-
-
-@pytest.mark.parametrize("name", ["scale", "exponent"])
-@pytest.mark.parametrize("count", [1, 2, 4])
-def test_a_width_law_has_a_number_for_each_medium(name: str, count: int) -> None:
-    law = PointSpread(**{"scale": 1.0, name: torch.ones(count)})
-    message = rf"PointSpread.{name} must have shape \(\) or \(3,\), .* got \({count},\)"
-    with pytest.raises(ValueError, match=message):
-        Medium.from_coefficients(torch.full((3, 3), 0.5), (0.1,) * 3, (0.1,) * 3, point_spread=law)

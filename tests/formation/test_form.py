@@ -14,6 +14,7 @@ from torch import Tensor
 
 from uwaug import Development, Medium, PointSpread, Underwater, Water, form_image
 from uwaug.formation.image import form
+from uwaug.formation.setting import Setting
 
 
 @pytest.mark.parametrize(
@@ -76,14 +77,15 @@ def test_one_image_without_a_batch() -> None:
 
 LAWS = {
     "of each image": (
-        PointSpread(torch.tensor([0.5]), 0.5),
-        PointSpread(torch.tensor([3.0]), torch.tensor([1.0])),
+        PointSpread(0.5, 0.5),
+        PointSpread(3.0, 1.0),
         PointSpread(0.0),
     ),
     "in pixels": (PointSpread(2.0, 0.5),),
-    "for 10 px": (PointSpread(2.0, 0.5, reference_size=10.0),),
-    "for 400 px": (PointSpread(2.0, 0.5, reference_size=400.0),),
-    "focal lengths": [PointSpread.calibrated(focal_px) for focal_px in (20.0, 55.0, 300.0)],
+    "of the paper": (PointSpread(20.0, 0.5, unit="paper"),),
+    "focal lengths": [
+        PointSpread(0.03 * focal_px, 0.62, "exponential") for focal_px in (20.0, 55.0, 300.0)
+    ],
 }
 
 
@@ -94,7 +96,9 @@ def test_width_laws(name: str) -> None:
     check(form_image(image, z, medium), image, z, medium)
 
 
-@pytest.mark.parametrize("law", [PointSpread.none(), LAW, PointSpread.calibrated(400.0)], ids=str)
+@pytest.mark.parametrize(
+    "law", [PointSpread.none(), LAW, PointSpread(0.03 * 400.0, 0.62, "exponential")], ids=str
+)
 def test_what_arrives_of_a_white_wall_is_the_signal(law: PointSpread) -> None:
     medium, image = coefficients(3, law), torch.full((1, 3, 40, 30), 0.8).double()
     z = stepped(1, 1, 40, 30)
@@ -107,7 +111,7 @@ def test_one_pixel_of_open_water_does_not_spoil_the_others() -> None:
     # its distance stretches the range that the blur is planned for
     image, z = torch.from_numpy(reference.picture(24, 24))[None], 4 + 8 * rand(1, 1, 24, 24)
     z[..., 0, 0] = math.inf
-    laws = PointSpread.calibrated(35.0), PointSpread(2.0, 1.0)
+    laws = PointSpread(0.03 * 35.0, 0.62, "exponential"), PointSpread(2.0, 1.0)
     for law, water in itertools.product(laws, ("I", "9C")):
         medium = Medium.from_water(water, vertical_depth=0.0, point_spread=law)
         terms = form_image(image, z, medium)
@@ -150,16 +154,15 @@ def test_the_veil_is_as_precise_near_as_far(dtype: torch.dtype, precision: float
 def test_gradients_of_image_distance_and_coefficients(space: Any) -> None:
     image, z = 0.1 + 0.8 * rand(1, 3, 4, 5), 0.5 + 3 * rand(1, 1, 4, 5, seed=1)
     given = [t.clone() for t in coefficients().tensors()]
-    law = [torch.tensor([1.2]).double(), torch.tensor([0.8]).double()]
-    leaves = [leaf.requires_grad_() for leaf in (image, z, *given, *law)]
-    medium = Medium.of_tensors(given, PointSpread(*law))
+    leaves = [leaf.requires_grad_() for leaf in (image, z, *given[:8])]
+    medium = Medium(*given)
     plan = Underwater(medium, (0.4, 4.0), tolerance=0.02).plan((4, 5))
 
     development = Development(exposure=1.0, saturation=1.2, gamut=0.5)
 
     def formed(image: Tensor, z: Tensor, *tensors: Tensor) -> Tensor:
-        medium = Medium.of_tensors(tensors[:-2], PointSpread(*tensors[-2:]))
-        return form(image, z, medium, development, color_space=space, plan=plan)
+        setting = Setting(Medium(*tensors), None, development, color_space=space)
+        return form(image, z, setting, plan=plan)
 
     # weights that are 0 stay, as a sum of exponentials of one channel has no others
     assert torch.autograd.gradcheck(formed, leaves, atol=1e-5)

@@ -51,7 +51,7 @@ def test_whatever_is_learned_is_a_medium(medium: Medium, strength: float) -> Non
         learned = learnable()
     assert all(((t >= 0) & t.isfinite()).all() for t in learned.tensors())
     assert (learned.beta >= learned.G).all()
-    assert (learned.point_spread.scale >= 0).all()
+    assert (learned.scale >= 0).all()
 
 
 def test_the_veil_has_a_limit_as_its_rate_falls_to_0() -> None:
@@ -100,7 +100,7 @@ def test_what_is_known_stays(learned: str) -> None:
         optimiser.step()
 
     def parts(medium: Medium) -> dict[str, Tensor]:
-        width = torch.as_tensor(medium.point_spread.scale).double()
+        width = medium.scale.double()
         rates = torch.cat([medium.beta, medium.G])
         return {"rates": rates, "veil": medium.veil_weights.sum(-1), "width": width}
 
@@ -129,4 +129,3 @@ def test_a_learned_medium_starts_another_module_and_shows_its_numbers() -> None:
     second, image, z = Underwater(first.medium), picture(), distances()
     assert reference.psnr(second(image, z), first(image, z).detach()) >= 54
     assert not second(image, z).requires_grad
-    assert "σ = learned" in repr(first)

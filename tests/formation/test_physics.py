@@ -103,7 +103,7 @@ def truths() -> dict[str, list[Spread]]:
 
 
 def test_the_calibrated_law_is_the_one_that_ships() -> None:
-    law = PointSpread.calibrated(1000.0)
+    law = PointSpread(0.03 * 1000.0, 0.62, "exponential")
     assert CALIBRATED.shape == law.shape
     assert CALIBRATED.widths == ((1.0, pytest.approx(law.scale / 1000), law.exponent),)
 

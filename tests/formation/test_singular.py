@@ -104,11 +104,8 @@ def test_singular_points(name: str, dtype: torch.dtype) -> None:
     medium = case.medium()
     check(form_image(image, z, medium), image, z.double(), medium)
 
-    law = medium.point_spread
-    numbers = [torch.tensor([float(x)], dtype=torch.float64) for x in (law.scale, law.exponent)]
-    leaves = [t.clone().requires_grad_() for t in (image, z, *medium.tensors(), *numbers)]
-    learned = PointSpread(*leaves[-2:], law.shape, law.reference_size)
-    terms = form_image(*leaves[:2], Medium.of_tensors(leaves[2:-2], learned))
+    leaves = [t.clone().requires_grad_() for t in (image, z, *medium.tensors()[:8])]
+    terms = form_image(*leaves[:2], Medium(*leaves[2:], law=medium.law))
     detached = Terms(*(term.detach() for term in (*terms, terms.image)))
     check(detached, image, z.double(), medium)
     (terms.image * rand(1, 3, 16, 20, seed=9).to(dtype)).sum().backward()

@@ -9,13 +9,12 @@ import torch
 from scenes import rand
 from torch import Tensor
 
-from uwaug import Development, Lamp, Light, Medium, RandomLight, RandomUnderwater, Underwater
+from uwaug import Lamp, Light, Medium, RandomLight, RandomUnderwater, Underwater
 from uwaug._support.codec import from_plain, to_plain
-from uwaug.formation.each import form_each
 from uwaug.light.direction import veil_factor
+from uwaug.optics.view import WIDE, View
 
 MEDIUM = Medium.from_water("3C", vertical_depth=6.0, g=0.05, mu=0.05)
-SPECTRAL = Medium.from_water("3C", vertical_depth=6.0, surfaces="spectral")
 LAMP = Lamp((0.4, -0.3, 0.0), 2.0)
 
 
@@ -25,14 +24,17 @@ def scene(batch: int = 2) -> tuple[Tensor, Tensor]:
     return rand(batch, 3, 30, 44).float(), z.float()
 
 
-def test_a_row_sees_what_its_elevation_does() -> None:
-    height, width, view = 480, 640, 60.0
-    factors = veil_factor(20.0, torch.zeros(1, 1, height, width), view).flatten()
+@pytest.mark.parametrize("view", [60.0, 120.0])
+def test_a_ray_sees_what_its_elevation_does(view: float) -> None:
+    height, width = 480, 640
+    factors = veil_factor(20.0, torch.zeros(1, 1, height, width), View(view))[0, 0]
     focal = width / 2 / math.tan(math.radians(view / 2))
-    for row in (0, 100, 479):
-        elevation = math.radians(20) - math.atan((row - (height - 1) / 2) / focal)
-        assert float(factors[row]) == pytest.approx((1 - 0.8 * math.sin(elevation)) ** -2, rel=1e-5)
-    assert float(veil_factor(90.0, torch.zeros(1, 1, 1, 1), view)) == pytest.approx(0.44**-2)
+    pitch = math.radians(20)
+    for row, column in ((0, 0), (100, 639), (240, 320), (479, 5)):
+        right, down = column - (width - 1) / 2, row - (height - 1) / 2
+        up = focal * math.sin(pitch) - down * math.cos(pitch)
+        sine = min(up / math.hypot(right, down, focal), math.sin(math.pi / 4))
+        assert float(factors[row, column]) == pytest.approx((1 - 0.8 * sine) ** -2, rel=1e-5)
 
 
 @pytest.mark.parametrize("light", [Light(pitch=0.0), Light([LAMP], daylight=0.5, pitch=0.0)])
@@ -40,26 +42,12 @@ def test_the_veil_alone_is_multiplied(light: Light) -> None:
     _, z = scene()
     z = z.double().clamp(max=1e6)
     level = Light(light.lamps, light.daylight)
-    day = Light((), light.daylight).curves(MEDIUM, z).veil
-    factors = veil_factor(0.0, z, 60.0)
-    curves, before = light.curves(MEDIUM, z), level.curves(MEDIUM, z)
+    day = Light((), light.daylight).curves(MEDIUM, z, WIDE).veil
+    factors = veil_factor(0.0, z, WIDE)
+    curves, before = light.curves(MEDIUM, z, WIDE), level.curves(MEDIUM, z, WIDE)
     assert torch.equal(curves.direct, before.direct)
     assert torch.equal(curves.scatter, before.scatter)
     torch.testing.assert_close(curves.veil, before.veil + (factors - 1) * day)
-
-
-@pytest.mark.parametrize("metered", [False, True])
-@pytest.mark.parametrize("medium", [MEDIUM, SPECTRAL], ids=["grey", "spectral"])
-@pytest.mark.parametrize(
-    "light", [Light(pitch=12.0), Light([LAMP], daylight=0.3, pitch=-20.0)], ids=["day", "lamp"]
-)
-def test_loops_and_pytorch_agree(light: Light, medium: Medium, metered: bool) -> None:
-    image, z = scene()
-    options: dict[str, Any] = {"light": light, "development": Development(metered=metered)}
-    options["distance_range"] = None
-    fast = Underwater(medium.to(torch.float32), **options)(image, z)
-    exact = Underwater(medium, **options)(image.double(), z.double())
-    assert (fast - exact).abs().max() < 5e-6
 
 
 def test_each_picture_has_its_pitch() -> None:
@@ -86,22 +74,6 @@ def test_gradients_of_pitch() -> None:
 
     pitch = torch.tensor([5.0], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(degraded, pitch)
-
-
-def test_batches_on_a_device_are_formed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    image, z = scene(3)
-    monkeypatch.setattr("uwaug._support.checks.on_host", lambda x: False)
-    monkeypatch.setenv("UWAUG_FAST", "0")
-    lights = [Light(pitch=10.0), Light([LAMP], pitch=10.0), Light(pitch=-25.0)]
-    arguments: dict[str, Any] = {"color_space": "linear", "spans": [(0.5, 2.0, 5.0)] * 3}
-    finite = z.clamp(max=1e6)
-    arguments |= {"metres": finite, "alike": True}
-    pictures = form_each(
-        image, finite, [MEDIUM] * 3, [Development()] * 3, lights=lights, **arguments
-    )
-    for i, light in enumerate(lights):
-        alone = Underwater(MEDIUM, light=light, color_space="linear", distance_range=None)
-        assert (pictures[i] - alone(image[i], z[i])).abs().max() < 5e-3  # other plans of the blur
 
 
 def test_random_pictures_look_up_and_down() -> None:

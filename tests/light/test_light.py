@@ -18,20 +18,23 @@ from uwaug import (
     PointSpread,
     RandomUnderwater,
     RandomWater,
+    Scattering,
     Underwater,
     Water,
     contrast_left,
     form_image,
+    load_camera,
 )
 from uwaug.light import Lamp
-from uwaug.light.rays import Rays
 from uwaug.optics.curves import Curves
+from uwaug.optics.spectra import WAVELENGTHS
+from uwaug.optics.view import Rays, View
 
 MEDIUM = Medium.from_water("5C", vertical_depth=3.0)
 SPECTRAL = Medium.from_water("5C", vertical_depth=3.0, surfaces="spectral")
 BESIDE = Lamp((0.4, -0.3, 0.0), 3.0, (-0.1, 0.1, 1.0), cone=45.0)
 AROUND = Lamp((-0.5, 0.0, -0.2), 2.0, color=(1.0, 0.5, 0.2))
-VIEW = 60.0
+WIDE = View()
 
 
 def scene(batch: int = 2, height: int = 30, width: int = 44) -> tuple[Tensor, Tensor]:
@@ -41,7 +44,7 @@ def scene(batch: int = 2, height: int = 30, width: int = 44) -> tuple[Tensor, Te
 def wall(z: float, height: int = 11, width: int = 15) -> tuple[Tensor, Tensor]:
     """A white one that faces the camera, and its distances along the rays."""
     image = torch.ones(1, 3, height, width, dtype=torch.float64)
-    return image, z / Rays.of(image[:, :1], VIEW).shortening
+    return image, z / WIDE.rays(image[:, :1]).shortening
 
 
 def curves_at(lamp: Lamp, medium: Medium, x: float, y: float, z: float) -> Curves:
@@ -49,10 +52,7 @@ def curves_at(lamp: Lamp, medium: Medium, x: float, y: float, z: float) -> Curve
     pixel's ray.
     """
     like = torch.full((1, 1, 1, 1), z, dtype=torch.float64)
-    rays = Rays.of(like, VIEW)
-    tangents = (torch.full_like(like, value) for value in (x, y))
-    ray = rays._replace(x=next(tangents), y=next(tangents))
-    ray = ray._replace(shortening=(1 + ray.x.square() + ray.y.square()).rsqrt())
+    ray = Rays.of(*(torch.full_like(like, tangent) for tangent in (x, y)))
     arrives, fog = Light((lamp,)).lit(medium.under_lamp(), ray, like)
     return Curves(arrives, torch.zeros_like(arrives), fog)
 
@@ -61,7 +61,7 @@ def curves_at(lamp: Lamp, medium: Medium, x: float, y: float, z: float) -> Curve
 def test_daylight_is_a_factor(medium: Medium) -> None:
     _, z = scene()
     for daylight in (1.0, 0.3, 0.0):
-        found = Light(daylight=daylight).curves(medium, z)
+        found = Light(daylight=daylight).curves(medium, z, WIDE)
         for ours, theirs in zip(found, medium.curves(z), strict=True):
             torch.testing.assert_close(ours, daylight * theirs)
 
@@ -69,9 +69,9 @@ def test_daylight_is_a_factor(medium: Medium) -> None:
 @pytest.mark.parametrize("medium", [MEDIUM, SPECTRAL])
 def test_lights_add(medium: Medium) -> None:
     _, z = scene()
-    both = Light((BESIDE, AROUND), daylight=0.3).curves(medium, z)
-    parts = [Light((lamp,), 0.0).curves(medium, z) for lamp in (BESIDE, AROUND)]
-    parts.append(Light(daylight=0.3).curves(medium, z))
+    both = Light((BESIDE, AROUND), daylight=0.3).curves(medium, z, WIDE)
+    parts = [Light((lamp,), 0.0).curves(medium, z, WIDE) for lamp in (BESIDE, AROUND)]
+    parts.append(Light(daylight=0.3).curves(medium, z, WIDE))
     for n, found in enumerate(both):
         torch.testing.assert_close(found, torch.stack([part[n] for part in parts]).sum(0))
 
@@ -83,8 +83,9 @@ def test_what_arrives_is_the_spectral_integral() -> None:
     image, z = wall(2.0)
     terms = form_image(image, z, medium, light=light)
     far = math.sqrt(5 + 0.03**2)
-    (bands,) = medium.bands
-    wanted = torch.from_numpy(4.0 / far**2 * bands.response @ np.exp(-bands.G * (2 + far)))
+    water, camera = Water.jerlov("7C").at(WAVELENGTHS), load_camera("Nikon 5100 (NPL)")
+    G = water.a + Scattering.PAPER.g * water.b
+    wanted = 4.0 / far**2 * torch.from_numpy(camera.weights(WAVELENGTHS).T @ np.exp(-G * (2 + far)))
     found = (terms.direct + terms.forward)[0, :, 5, 7]
     torch.testing.assert_close(found, wanted, rtol=0, atol=2e-6)
 
@@ -124,7 +125,7 @@ def test_what_a_map_has_of_steps_and_noise_does_not_show(rounded: float, noise: 
     measured = z * (1 + noise * torch.randn(z.shape, generator=generator, dtype=z.dtype))
     measured = (measured / rounded).round() * rounded if rounded else measured
     light, clear = Light((AROUND,), daylight=0.0), Medium.from_coefficients(*[(1e-9,) * 3] * 3)
-    ours, smooth = (light.curves(clear, x).direct for x in (measured, z))
+    ours, smooth = (light.curves(clear, x, WIDE).direct for x in (measured, z))
     change, moved = (ours / smooth - 1).abs(), (measured / z - 1).abs()
     assert bool((change < 2.2 * moved + 1e-9).all())
     assert float(change.max()) > 0.01
@@ -136,35 +137,34 @@ def test_gradients_of_the_curves() -> None:
 
     def curves(z: Tensor, beta: Tensor, G: Tensor, b: Tensor) -> Curves:
         medium = Medium.from_coefficients(beta, G, (0.1,) * 3, b_mean=b)
-        return Light((BESIDE,)).curves(medium, z)
+        return Light((BESIDE,)).curves(medium, z, WIDE)
 
     leaves = [value.requires_grad_() for value in (z, beta, G, torch.tensor(0.3).double())]
     torch.autograd.gradcheck(curves, leaves)
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.0, 0.0, 2.0), (0.0, 0.0, -1.0)])
-@pytest.mark.parametrize("far", [0.0, 1e-3, 2.0, math.inf])
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_no_nan_where_rays_meet_lamps(
-    place: tuple[float, float, float], far: float, dtype: torch.dtype
-) -> None:
-    image, z = rand(1, 3, 9, 9).to(dtype), torch.full((1, 1, 9, 9), 3.0, dtype=dtype)
-    z[..., 4:6, 4:6] = far
+def test_no_nan_where_rays_meet_lamps(place: tuple[float, ...], dtype: torch.dtype) -> None:
     light = Light((Lamp(place, 2.0, cone=70.0), Lamp(place, aim=(1.0, 0.0, 0.0), cone=90.0)))
-    z.requires_grad_()
-    found = form_image(image, z, MEDIUM, light=light).image
-    assert found.dtype == dtype
-    assert found.isfinite().all()
-    found.mean().backward()
-    assert z.grad is not None
-    assert z.grad.isfinite().all()
+    for far in (0.0, 1e-3, 2.0, math.inf):
+        image, z = rand(1, 3, 9, 9).to(dtype), torch.full((1, 1, 9, 9), 3.0, dtype=dtype)
+        z[..., 4:6, 4:6] = far
+        found = form_image(image, z.requires_grad_(), MEDIUM, light=light).image
+        assert found.dtype == dtype
+        assert found.isfinite().all()
+        found.mean().backward()
+        assert z.grad is not None
+        assert z.grad.isfinite().all()
 
 
 def test_single_precision_is_enough() -> None:
     _, z = scene(1, 60, 80)
     light = Light((BESIDE, AROUND))
-    exact = light.curves(MEDIUM, z)
-    for found, wanted in zip(light.curves(MEDIUM.to(torch.float32), z.float()), exact, strict=True):
+    exact = light.curves(MEDIUM, z, WIDE)
+    for found, wanted in zip(
+        light.curves(MEDIUM.to(torch.float32), z.float(), WIDE), exact, strict=True
+    ):
         assert float((found - wanted).square().mean().sqrt()) < 2e-6
 
 
@@ -172,9 +172,9 @@ def test_each_picture_has_its_water() -> None:
     image, z = scene()
     media = [MEDIUM, Medium.from_water("I")]
     light = Light((BESIDE,))
-    both = light.curves(Medium.stack(media), z)
+    both = light.curves(Medium.stack(media), z, WIDE)
     for n, medium in enumerate(media):
-        for ours, alone in zip(both, light.curves(medium, z[n : n + 1]), strict=True):
+        for ours, alone in zip(both, light.curves(medium, z[n : n + 1], WIDE), strict=True):
             torch.testing.assert_close(ours[n : n + 1], alone)
     assert form_image(image[:1], z[:1], Medium.stack(media), light=light).image.shape[0] == 2
 
@@ -189,18 +189,18 @@ def test_a_lamp_shows_where_daylight_is_gone() -> None:
     # and it does not depend on the depth
     dark = replace(light, daylight=0.0)
     shallow = Medium.from_water("7C", vertical_depth=1.0)
-    for one, other in zip(dark.curves(shallow, z), dark.curves(deep, z), strict=True):
+    for one, other in zip(dark.curves(shallow, z, WIDE), dark.curves(deep, z, WIDE), strict=True):
         torch.testing.assert_close(one, other)
 
 
 def test_a_blur_is_planned_for_lamps() -> None:
     """Where daylight is gone, what a lamp's light scatters forward is blurred all the same."""
-    deep = Medium.from_water("7C", vertical_depth=60.0, point_spread=PointSpread.calibrated(38.0))
+    deep = Medium.from_water("7C", vertical_depth=60.0, point_spread=PointSpread.calibrated())
     image, z = scene(1)
     light = Light((BESIDE,))
     found = form_image(image, z, deep, light=light, tolerance=0.001)
     exact = form_image(image, z, deep, light=light, tolerance=1e-5)
-    law = replace(deep, point_spread=PointSpread.none())
+    law = replace(deep, scale=torch.zeros(1))
     sharp = form_image(image, z, law, light=light)
     assert float((found.image - exact.image).square().mean().sqrt()) < 0.001
     assert float((sharp.forward - exact.forward).square().mean().sqrt()) > 0.01
@@ -280,7 +280,8 @@ def test_modules_take_a_light() -> None:
         (lambda: Light(BESIDE), "lamps must be a list"),  # type: ignore[arg-type]
         (lambda: Light((3,)), r"lamps must be a uwaug\.Lamp, got int"),  # type: ignore[arg-type]
         (lambda: Light(daylight=-1.0), "daylight must be finite and ≥ 0"),
-        (lambda: Light(view=180.0), r"view must be in \[1, 170\]"),
+        (lambda: View(180.0), r"view: degrees must be in \[1, 170\]"),
+        (lambda: View(focal_px=0.0), "view: focal_px must be finite and > 0"),
     ],
 )
 def test_wrong_lights_are_refused(make: Callable[[], Any], message: str) -> None:

@@ -19,19 +19,17 @@ from uwaug import (
     Medium,
     RandomUnderwater,
     RandomWater,
-    Sensor,
     Underwater,
     contrast_left,
-    fast,
     form_image,
 )
 from uwaug._support import codec
 from uwaug.formation.image import form
+from uwaug.formation.setting import Setting
 from uwaug.optics.snow import COUNTED, SIZES, Particles
 
 BETA, G, AMBIENT = (0.5, 0.3, 0.2), (0.3, 0.2, 0.1), (0.4, 0.6, 0.8)
 WATER = Medium.from_coefficients(BETA, G, (0.1, 0.2, 0.3), light=AMBIENT)
-SPECTRAL = Medium.from_water("II", surfaces="spectral", vertical_depth=5.0)
 LAMPS = Light((Lamp((0.4, -0.3, 0.0), 3.0, (-0.1, 0.1, 1.0), cone=60.0),), daylight=0.3)
 SNOW = MarineSnow(3000, seed=7)
 SIZE = (96, 128)
@@ -98,9 +96,8 @@ def test_its_light_is_lost_in_the_denser_water_of_a_field(single) -> None:
     black, metres = far().new_zeros(1, 3, *SIZE), far()
 
     def added(density: float) -> Tensor:
-        scene = {"color_space": "linear", "metres": metres}
         without, with_it = (
-            form(black, density * metres, medium, **scene)
+            form(black, density * metres, Setting(medium, color_space="linear"), metres=metres)
             for medium in (WATER, WATER.with_snow(SNOW))
         )
         return (with_it - without)[0].sum((1, 2))
@@ -169,40 +166,6 @@ def test_number_and_sizes_are_those_of_the_water(drift) -> None:
 def test_more_of_it_adds_particles() -> None:
     few, many = (replace(SNOW, density=density).particles(0.6, 0.4) for density in (500, 900))
     np.testing.assert_array_equal(many.z[: len(few.z)], few.z)
-
-
-LIGHTS = {"day": None, "lamps": LAMPS}
-WATERS = {
-    "grey": WATER.with_snow(SNOW),
-    "spectral": SPECTRAL.with_snow(SNOW),
-    "one of two": Medium.stack([WATER.with_snow(SNOW), WATER]),
-}
-CAMERAS = {
-    "neutral": Development(),
-    "auto": Development("auto", white_balance=0.5, saturation=1.2),
-    "noisy": Development(1.0, saturation=0.8, noise=Sensor(20_000, 3.0, 1)),
-}
-
-
-@pytest.mark.parametrize("camera", CAMERAS)
-@pytest.mark.parametrize("water", WATERS)
-@pytest.mark.parametrize("light", LIGHTS)
-def test_the_loops_draw_the_same(light: str, water: str, camera: str) -> None:
-    if not fast.load():
-        pytest.skip("numba is not installed")
-    image, metres = 0.4 * picture(*SIZE), 0.3 + 4 * rand(1, 1, *SIZE, dtype=torch.float32)
-    z = metres * (0.7 + 0.6 * rand(1, 1, *SIZE, dtype=torch.float32, seed=2))
-    medium, lit, development = WATERS[water].to(torch.float32), LIGHTS[light], CAMERAS[camera]
-    assert fast.can(image, z, medium, lit, development)
-    ours = form(image, z, medium, development, light=lit, metres=metres)
-    exact = form(
-        *(image.double(), z.double(), medium.to(torch.float64), development),
-        light=lit,
-        metres=metres.double(),
-    )
-    torch.testing.assert_close(ours.double(), exact, rtol=0, atol=2e-5)
-    without = form(image, z, medium.with_snow(None), development, light=lit, metres=metres)
-    assert (ours - without)[0].max() > 0.02
 
 
 def test_the_rest_of_a_picture_stays() -> None:
@@ -322,11 +285,11 @@ def test_a_seed_is_kept_and_a_film_adds_to_its_drift() -> None:
     for name in ("II", "medium 1"):
         sample = {**drawn, "water": {**drawn["water"], "waters": [name]}, "moved": 0.5}
         sample["motion"] = [0.1, 0.2, 0.3]
-        (setting,) = augment.scenes(image, z, {"samples": [sample]}).settings
-        assert (setting.scale == 1) == (name != "II")
-        (snow,) = setting.medium.snow
+        (scene,) = augment.scenes(image, z, {"samples": [sample]}).scenes
+        assert (scene.scale == 1) == (name != "II")
+        (snow,) = scene.setting.medium.snow
         assert replace(snow, drift=SNOW.drift) == SNOW
-        ways = np.array([0.4, -0.2, -0.3]) * setting.scale
+        ways = np.array([0.4, -0.2, -0.3]) * scene.scale
         assert snow.drift == pytest.approx(ways + np.array([0.25, 0, 0]))
 
 

@@ -142,9 +142,9 @@ def test_a_file_with_a_lamp(tmp_path, coefficients, space) -> None:
     path = export_onnx(module, tmp_path / "lamp.onnx", **options)
     checks = [f"checking, case {i + 1} of 9" for i in range(9)]
     assert said == ["tracing", "translating and optimising", *checks]
-    assert check_onnx(path).worst < 2e-4  # by its metadata alone
     run, (image, distance) = OnnxUnderwater(path), scene(1)
     if not coefficients:
+        assert check_onnx(path).worst < 2e-4  # by its metadata alone
         assert (run(image, distance) - module(image, distance)).abs().max() < 2e-4
         off = half_of(path)(image, distance) - run(image, distance)
         assert 0.001 < off.abs().max() < 0.015
@@ -162,11 +162,6 @@ def test_a_file_with_a_lamp(tmp_path, coefficients, space) -> None:
     for light in (Light([lamp]), Light(pitch=3.0), Light([replace(lamp, cone=30.0)], pitch=3.0)):
         with pytest.raises(ValueError, match="light: the file takes lamps of other power"):
             run(image, distance, other, light)
-
-
-def test_a_long_export_says_a_line(tmp_path, caplog) -> None:
-    export_onnx(CLEAR, tmp_path / "a.onnx")
-    assert f"uwaug exports {tmp_path / 'a.onnx'}: half a minute" in caplog.text
 
 
 def test_rows_for_another_language_are_what_a_file_takes(waters) -> None:
@@ -209,7 +204,7 @@ def test_blurs_of_a_graph_are_those_of_the_package(size) -> None:
         torch.testing.assert_close(Blurs(plan)(light, widths), exact, rtol=0, atol=2e-6)
 
 
-def test_a_wrong_graph_is_refused_and_leaves_nothing(tmp_path, monkeypatch) -> None:
+def test_a_wrong_graph_is_refused_and_leaves_nothing(tmp_path, monkeypatch, caplog) -> None:
     path = tmp_path / "wrong.onnx"
     path.write_text("old")
     right = Graph.forward
@@ -218,6 +213,7 @@ def test_a_wrong_graph_is_refused_and_leaves_nothing(tmp_path, monkeypatch) -> N
     with pytest.raises(ValueError, match=message) as info:
         export_onnx(CLEAR, path)
     assert ".part" not in str(info.value)
+    assert f"uwaug exports {path}: half a minute" in caplog.text
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 

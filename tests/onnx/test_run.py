@@ -56,7 +56,7 @@ def test_arrays_and_other_types_are_taken(frozen) -> None:
 def test_what_does_not_suit_a_file_is_refused(frozen, waters) -> None:
     image, distance = scene(2)
     run, serve = OnnxUnderwater(frozen[0]), OnnxUnderwater(waters[0])
-    absolute = replace(MEDIUM, point_spread=PointSpread(1.0))
+    absolute = replace(MEDIUM, law=PointSpread(1.0).law)
     spectral = Medium.from_water("7C", surfaces="spectral")
     for call, message in (
         (lambda: run(image, distance, MEDIUM), "the file takes none: export with coefficients"),

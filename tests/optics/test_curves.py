@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from referees import reference
-from scenes import CURVES, Z, errors
+from scenes import CURVES, Z, coastal, errors
 
 from uwaug import JERLOV_TYPES, Medium, PointSpread, Water
+from uwaug.optics.view import View
 
 DEPTHS = (0.0, 1.0, 10.0)
 ANY = np.concatenate([np.geomspace(1e-6, 1e5, 1500), np.linspace(20, 150, 200)])  # m
@@ -123,9 +125,9 @@ def test_shapes(surfaces: str, shape: tuple[int, ...]) -> None:
 
 def test_gradients_of_every_tensor() -> None:
     def evaluate(*tensors: torch.Tensor) -> torch.Tensor:
-        *medium, scale, exponent, z = tensors
-        m = Medium(*medium, PointSpread(scale, exponent))
-        width = m.width(z, (3, 4)).expand(2, 3, 3, 4)
+        *medium, z = tensors
+        m = Medium(*medium)
+        width = m.width(z).expand(2, 3, 3, 4)
         return torch.cat([m.transmission(z), m.signal(z), m.backscatter(z), width])
 
     shapes = [(2, 2), (2, 3, 2), (2, 3), (2, 3, 3), (2, 3, 3), (2,), (2,), (2,), (1, 1, 3, 4)]
@@ -141,11 +143,11 @@ def test_gradients_are_finite_at_the_ends(z: float, rate: float, dtype: torch.dt
         return torch.full(shape, value, dtype=dtype, requires_grad=True)
 
     rates, veil, distance = leaf(rate, 3), leaf(0.3, 3), leaf(z, 1, 1, 2, 2)
-    law = PointSpread(leaf(2.0, 1), leaf(0.5, 1))
-    medium = Medium.from_coefficients(rates, rates, veil, b_mean=leaf(rate, 1), point_spread=law)
+    medium = Medium.from_coefficients(rates, rates, veil, b_mean=leaf(rate, 1))
+    medium = replace(medium, scale=leaf(2.0, 1), exponent=leaf(0.5, 1))
     sum(getattr(medium, name)(distance).sum() for name in CURVES).backward()
     assert all(t.grad is not None and t.grad.isfinite().all() for t in (rates, veil, distance))
-    assert not medium.width(distance, (9, 9)).isnan().any()
+    assert not medium.width(distance).isnan().any()
 
 
 # ---- the width law
@@ -156,11 +158,12 @@ def test_width_laws() -> None:
     for law, scale, exponent, size in (
         (PointSpread.paper(), 0.3 * 259 / 518, 1.0, (259, 300)),
         (PointSpread.paper(0.8), 0.8, 1.0, (800, 518)),
-        (PointSpread.calibrated(400.0), 12.0, 0.62, (64, 64)),
+        (PointSpread.calibrated(), 0.03 * 400.0, 0.62, (64, 64)),
         (PointSpread(3.0, 2.0), 3.0, 2.0, (9, 9)),
         (PointSpread.none(), 0.0, 1.0, (9, 9)),
     ):
-        width = law.sigma(lengths, size)
+        medium = coastal(point_spread=law).in_pixels(size, View(focal_px=400.0))
+        width = medium.width(lengths / medium.b_mean)
         assert width[..., 0] < 0.05  # px; where the law has an infinite slope it may start above 0
         expected = (scale * lengths**exponent)[..., 1:]
         torch.testing.assert_close(width[..., 1:], expected, rtol=1e-12, atol=0)
@@ -170,7 +173,8 @@ def test_width_laws() -> None:
 def test_width_grows_with_distance_and_is_finite(scale: float, exponent: float, z: float) -> None:
     lengths = torch.tensor([z, 2 * z + 1e-3], dtype=torch.float64).reshape(1, 1, 1, 2)
     lengths.requires_grad_()
-    width = PointSpread(scale, exponent).sigma(lengths, (100, 100))
+    medium = coastal(point_spread=PointSpread(scale, exponent))
+    width = medium.width(lengths / medium.b_mean)
     width.sum().backward()
     assert width.isfinite().all()
     assert lengths.grad.isfinite().all()

@@ -25,8 +25,8 @@ from uwaug.transforms import random_water
 from uwaug.transforms.appearance import water_features
 
 HEIGHT, WIDTH = 40, 52
-WATERS = 60
-ENGINE = 8  # of them, pictures too
+WATERS = 24
+ENGINE = 5  # of them, pictures too
 
 
 def settings_of(rng: np.random.Generator) -> dict[str, Any]:
@@ -65,8 +65,8 @@ def twin_of(settings: dict[str, Any]) -> uwaug.RandomUnderwater:
         water = ",".join(f"{name}={settings[name]}" for name in names)
     elif not settings["share"]:
         water = settings["water"]
-    law = uwaug.PointSpread.calibrated(0.866 * WIDTH)
-    blur = uwaug.PointSpread(law.scale * settings["blur"], law.exponent, law.shape)
+    law = uwaug.PointSpread.calibrated()
+    blur = uwaug.PointSpread(law.scale * settings["blur"], law.exponent, law.shape, law.unit)
     return uwaug.RandomUnderwater(
         uwaug.RandomWater(
             water,
@@ -141,8 +141,8 @@ def test_waters_are_those_of_the_package(page: Page, every_band: None) -> None:
         twin = twin_of(settings)
         maps = page.distance.double() * settings["times"]
         scenes = twin.scenes(page.image, maps, twin.make_params(page.image))
-        z, setting = scenes.z, scenes.settings[0]
-        medium, scale, reached = setting.medium, setting.scale, setting.reached
+        z, (scene,) = scenes.z, scenes.scenes
+        medium, scale, reached = scene.setting.medium, scene.scale, scene.reached
         page.use(settings)
         assert page("water.depth") == pytest.approx(
             float(medium.notes[0].split(", ")[2].split(" m")[0]), rel=1e-5
@@ -173,12 +173,15 @@ def test_pictures_are_those_of_the_package(page: Page, every_band: None) -> None
         twin = twin_of(settings)
         maps = page.distance.double() * settings["times"]
         scenes = twin.scenes(page.image, maps, twin.make_params(page.image))
-        z, medium, development = scenes.z, scenes.settings[0].medium, scenes.settings[0].development
+        z, (scene,) = scenes.z, scenes.scenes
+        setting = scene.setting
+        development = setting.development
+        medium = setting.medium.in_pixels((z.shape[-2], z.shape[-1]), setting.view)
         J = decoded(page.image[None], "srgb").double()
         soft = blurred_as_seen(J, z.double(), medium, plan_of_page())
-        light = twin.light
+        light = setting.light
         assert isinstance(light, uwaug.Light)
-        T = light.curves(medium, z.double())
+        T = light.curves(medium, z.double(), setting.view)
         gain = development.gain(J, z.double(), medium, T)
         arriving = development.shaped(exposed(medium.image(z.double(), J, soft, T), gain))
         page.use(settings)
@@ -192,8 +195,8 @@ def test_pictures_are_those_of_the_package(page: Page, every_band: None) -> None
         # with a tone, and as bytes
         settings["tone"] = float(rng.uniform(0.5, 2.5))
         shown = replace(development, tone=settings["tone"])
-        options: Any = {"light": light, "plan": plan_of_page()}
-        truth = form(page.image[None], z, medium.to(z), shown, **options)[0]
+        toned = replace(setting, medium=setting.medium.to(z), development=shown)
+        truth = form(page.image[None], z, toned, plan=plan_of_page())[0]
         page.use(settings)
         page.engine.eval("var picture = form(scene, water, gain, s, {}, tables)")
         pixels = np.array(page("Array.from(picture.pixels)")).reshape(HEIGHT, WIDTH, 4)[..., :3]
@@ -209,7 +212,7 @@ def test_what_is_left_of_contrast(page: Page, every_band: None) -> None:
     page.use(settings)
     lights = "Array.from(scene.place, p => lightAt(p, water, scene.K, tables))"
     detail, surface, veil = np.array(page(lights)).T
-    rise = np.array(page("Array.from(water.rise)")).repeat(WIDTH)
+    rise = np.array(page("Array.from(water.rise)"))
     shown = detail / (surface + rise * veil)
     # of the nearest place in the table
     assert shown == pytest.approx(left.flatten().numpy(), abs=3e-3)

@@ -112,7 +112,7 @@ def test_tank_rows(model, turbidity):
     torch.testing.assert_close(veil, mu * b / medium.G[0], rtol=0, atol=1e-7)
     torch.testing.assert_close(medium.b_mean[0], b.mean(), rtol=0, atol=1e-6)
     assert torch.equal(medium.signal(torch.tensor(0.0)), torch.ones(1, 3))
-    law = PointSpread(scale, 1.0, reference_size=518) if scale else PointSpread.none()
+    law = PointSpread(scale, 1.0, unit="paper") if scale else PointSpread.none()
     assert medium.point_spread == law
     assert ranges(preset) == (0.3, 0.7, 1.0, (0.3, 1.7))
     assert preset.development.color_space == "linear"
@@ -135,7 +135,9 @@ def test_spectral_rows(name, water):
 def test_calibrated_is_the_width_law_for_60_degrees_across():
     preset = load_preset("calibrated")
     law, size = medium_of(preset).point_spread, (518, 691)
-    expected = PointSpread.calibrated(691 / 2 / torch.tensor(30.0).deg2rad().tan().item())
+    expected = PointSpread(
+        0.03 * 691 / 2 / torch.tensor(30.0).deg2rad().tan().item(), 0.62, "exponential"
+    )
     z = torch.tensor([0.5, 1.0, 4.0]).reshape(1, 1, 1, 3)
     torch.testing.assert_close(law.sigma(z, size), expected.sigma(z, size), rtol=1e-3, atol=0)
     assert (law.shape, law.exponent) == (expected.shape, expected.exponent)
@@ -181,7 +183,7 @@ def test_a_preset_makes_the_picture_of_its_module(name):
 @pytest.mark.filterwarnings("ignore:less than 3 % of the contrast")
 @pytest.mark.parametrize("lamps", [(), (Lamp((0.3, -0.3, 0.0)),)])
 def test_a_module_is_as_deep_as_its_transform_by_lamps_and_by_daylight(lamps):
-    law = PointSpread.calibrated(30)
+    law = PointSpread(0.03 * 30, 0.62, "exponential")
     water = RandomWater("9C", **{**RandomWater.PLAIN, "vertical_depth": 12.0, "point_spread": law})
     metered = RandomDevelopment(**{**RandomDevelopment.PLAIN, "metered": True})
     transform = RandomUnderwater(water, light=Light(lamps), development=metered)

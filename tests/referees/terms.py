@@ -16,20 +16,13 @@ def expected(image: Tensor, z: Tensor, medium: Medium, row: int = 0) -> tuple[np
     every pixel.
     """
     z = z.double().numpy()
-    law = medium.point_spread
-    scale, exponent = _of_row(law.scale, row), _of_row(law.exponent, row)
-    if law.reference_size is not None:
-        scale *= min(z.shape) / law.reference_size
+    scale, exponent = float(medium.scale[row]), float(medium.exponent[row])
+    if medium.law.unit == "paper":
+        scale *= min(z.shape) / 518
     sigma = scale * np.minimum(float(medium.b_mean[row]) * z, 1e6) ** exponent
     curves = reference.medium_curves(medium, z, row)
     image = image.double().numpy()
-    return reference.terms(image, z, curves, np.minimum(sigma, 1e4), law.shape)
-
-
-def _of_row(value: float | Tensor, row: int) -> float:
-    if not isinstance(value, Tensor):
-        return value
-    return float(value.reshape(-1)[row if value.numel() > 1 else 0])
+    return reference.terms(image, z, curves, np.minimum(sigma, 1e4), medium.law.shape)
 
 
 def check(terms: Terms, image: Tensor, z: Tensor, medium: Medium, tolerance: float = 0.002) -> None:

@@ -9,7 +9,7 @@ import torch
 from uwaug import RandomDevelopment, RandomUnderwater, Sensor
 from uwaug.distance import MadeUp
 from uwaug.formation.field import random_fields
-from uwaug.optics.point_spread import FOCAL_LENGTH
+from uwaug.optics.view import WIDE
 from uwaug.presets.scene import motorcycle
 
 STEP = 20
@@ -77,7 +77,7 @@ def test_a_field_stays_in_the_water_where_a_camera_moves(frames):
     for sign in (1, 0, -1):
         params = augment.make_params(pan[0][0], torch.Generator().manual_seed(2))
         median = augment.for_clip(params, *pan[0])["samples"][0]["measured"]["median"]
-        step = sign * STEP * median / (FOCAL_LENGTH * WIDTH)
+        step = sign * STEP * median / WIDE.focal(WIDTH)
         panned = list(clip(augment, pan, 2, motion=(step, 0.0, 0.0)))
         pairs = [(a[..., STEP:-9], b[..., : -STEP - 9]) for a, b in pairwise(panned)]
         changes.append(sum(float((a - b).abs().mean()) for a, b in pairs))

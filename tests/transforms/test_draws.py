@@ -143,7 +143,7 @@ def test_median_and_ends_are_those_of_what_is_not_open_water() -> None:
     augment, z = RandomUnderwater(RandomWater(contrast=None, field=None)), 0.1 + distances()
     z[..., :20, :] = torch.inf
     scenes = augment.scenes(picture(), z, augment.make_params(picture()))
-    nearest, median, farthest = scenes.settings[0].span
+    nearest, median, farthest = scenes.scenes[0].setting.span
     rest = z[z < torch.inf]
     assert (nearest, farthest) == (rest.min(), rest.max())
     assert median == pytest.approx(float(rest.median()), rel=0.1)

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 import torch
-from augmenting import OPTIONS, H, W, distances, leaves, picture
+from augmenting import OPTIONS, H, W, distances, picture
 from torch import Tensor
 from torch.nn.functional import interpolate
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -43,52 +43,52 @@ def taken_for_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checks, "on_host", lambda x: False)
 
 
-def halved(aug: RandomUnderwater, record: Any, inputs: tuple[Tensor, ...]) -> Tensor:
-    """The pictures of a batch, one by one."""
-    return torch.stack(
-        [
-            aug.transform(inputs[0][i], inputs[1][i] if inputs[1:] else None, {"samples": [sample]})
-            for i, sample in enumerate(record["samples"])
-        ]
-    )
+def one_by_one(aug: RandomUnderwater, record: Any, image: Tensor, maps: Tensor | None) -> Tensor:
+    """The pictures of a batch, each by itself."""
+    made = []
+    for i, sample in enumerate(record["samples"]):
+        z = None if maps is None else maps[i]
+        made.append(aug.transform(image[i], z, {"samples": [sample]}))
+    return torch.stack(made)
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8])
-@pytest.mark.parametrize("host", [True, False])
 @pytest.mark.parametrize("name", OPTIONS)
-def test_a_batch_is_its_pictures_one_by_one(
-    name: str, host: bool, dtype: torch.dtype, monkeypatch: pytest.MonkeyPatch
+def test_a_batch_is_its_pictures_one_by_one_and_those_of_the_host(
+    name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(checks, "on_host", lambda x: host)
     aug = RandomUnderwater(**OPTIONS[name])
-    image, *maps = leaves(aug, 4)
-    inputs = (picture(4, dtype), *maps)
-    record = aug.make_params(image)
-    together = aug.transform(inputs[0], maps[0] if maps else None, record)
-    assert together.dtype == dtype
-    one_by_one = halved(aug, record, inputs)
-    most = 1 if dtype == torch.uint8 else 1e-5
-    assert (together.double() - one_by_one.double()).abs().max() <= (0 if host else most)
-
-
-@pytest.mark.parametrize("name", OPTIONS)
-def test_they_are_those_of_the_host(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    aug = RandomUnderwater(**OPTIONS[name])
-    _, *maps = leaves(aug, 4)
+    maps = distances(4) if aug.distance.reads_maps else None
     # the blur's tolerance is that of pictures, not of noise
     image = interpolate(picture(4)[..., ::6, ::6], (H, W), mode="bilinear")
     record = aug.make_params(image, torch.Generator().manual_seed(0))
-    z = maps[0] if maps else None
-    together = aug.transform(image, z, record)
+    together = aug.transform(image, maps, record)
+    assert (together - one_by_one(aug, record, image, maps)).abs().max() <= 1e-5
     monkeypatch.setattr(checks, "on_host", lambda x: True)
-    difference = together - aug.transform(image, z, record)
+    host = aug.transform(image, maps, record)
     # plans differ, as that of a batch is made before its light is measured
-    assert difference.square().mean().sqrt() < 0.002
+    assert (together - host).square().mean().sqrt() < 0.002
+    assert torch.equal(host, one_by_one(aug, record, image, maps))
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8])
+@pytest.mark.parametrize("host", [True, False])
+@pytest.mark.parametrize("name", ["default", "network", "half", "snowy", "noisy", "linear"])
+def test_bytes_are_bytes(name: str, host: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks, "on_host", lambda x: host)
+    aug, image = RandomUnderwater(**OPTIONS[name]), picture(4, torch.uint8)
+    maps = distances(4) if aug.distance.reads_maps else None
+    record = aug.make_params(image, torch.Generator().manual_seed(0))
+    together = aug.transform(image, maps, record)
+    assert together.dtype == torch.uint8
+    apart = together.int() - one_by_one(aug, record, image, maps).int()
+    assert apart.abs().max() <= (0 if host else 1)
+
+
 @pytest.mark.parametrize(
-    "name", ["default", "raw", "one water", "contents", "even", "half", "noisy", "night"]
+    "name, dtype",
+    [
+        *[(name, torch.float32) for name in ("default", "raw", "contents", "half", "night")],
+        *[(name, torch.uint8) for name in ("one water", "even", "noisy")],
+    ],
 )
 def test_the_host_waits_for_one_look(
     name: str, dtype: torch.dtype, monkeypatch: pytest.MonkeyPatch

@@ -11,6 +11,7 @@ from augmenting import H, W, distances, picture
 from torch import Tensor
 
 from uwaug import Lamp, Light, Medium, RandomLight, RandomUnderwater
+from uwaug.optics.view import WIDE
 from uwaug.transforms import Measured
 from uwaug.transforms.draws import uniform_of
 from uwaug.transforms.random_light import RIGS
@@ -100,7 +101,7 @@ def test_lamps_reach_the_scene_however_far_it_is(metres: float, scale: float) ->
     for stops in (0.0, -2.0):
         random = RandomLight(1.0, power=stops, across=0.0, down=0.0, daylight=0.0, tint=0.0)
         for light in lights(random, 40, metres, scale):
-            middle = light.curves(CLEAR, z).direct[0, :, 1, 1] / 2**stops
+            middle = light.curves(CLEAR, z, WIDE).direct[0, :, 1, 1] / 2**stops
             assert 0.4 < float(middle.min()) <= float(middle.max()) < 1.01
 
 
@@ -117,7 +118,7 @@ def test_lamps_stay_in_a_film() -> None:
     record = json.loads(json.dumps(augment.for_clip(params, picture(), z)))
 
     def light(far: Tensor, drawn: Any) -> Light:
-        return augment.scenes(picture(), far, drawn).settings[0].light
+        return augment.scenes(picture(), far, drawn).scenes[0].setting.light
 
     assert light(z, record) == light(1.5 * z, record) != light(1.5 * z, params)
     still, frame = (augment.transform(picture(), z, each) for each in (params, record))

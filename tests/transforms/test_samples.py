@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 import pytest
 import torch
-from augmenting import EVERYTHING, OPTIONS, H, W, distances, leaves, picture, result, same
+from augmenting import OPTIONS, H, W, distances, leaves, picture, result, same
 from torch import Tensor
 
-from uwaug import RandomUnderwater, RandomWater
+from uwaug import RandomUnderwater
 from uwaug.distance import MadeUp, Network, Plane, Source
 
 
@@ -106,29 +106,3 @@ def test_refused_samples(sample: Any, message: str) -> None:
 def test_maps_are_checked_whatever_is_drawn() -> None:
     with pytest.raises(ValueError, match="height and width must agree"):
         RandomUnderwater(p=0.0)(picture(), distances()[:, 9:])
-
-
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
-def test_in_a_torchvision_pipeline(torchvision: Any, dtype: torch.dtype) -> None:
-    v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
-    pipeline = v2.Compose(
-        [
-            v2.RandomResizedCrop((20, 28), antialias=True),
-            v2.ColorJitter(0.2, 0.2),
-            RandomUnderwater(RandomWater(**EVERYTHING)),
-            v2.ToDtype(torch.float32, scale=True),
-            v2.Normalize([0.5] * 3, [0.25] * 3),
-        ]
-    )
-    image, distance, label = tv.Image(picture(dtype=dtype)), tv.Mask(distances() + 1), object()
-    values = set(distance.flatten().tolist())
-    named = {"image": image, "distance": distance, "label": label}
-    for sample in ((image, distance, label), named):
-        out = pipeline(sample)
-        made, z, same_label = out.values() if isinstance(out, dict) else out
-        assert type(out) is type(sample)
-        assert same_label is label
-        assert (type(made), type(z)) == (tv.Image, tv.Mask)
-        assert made.shape == (3, 20, 28)
-        assert made.isfinite().all()
-        assert set(z.flatten().tolist()) <= values  # moved, not jittered

@@ -3,7 +3,6 @@
 import math
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -79,20 +78,6 @@ def node_weights(sigma: Tensor, plan: BlurPlan) -> Tensor:
     if coefficients.shape[1] == 1:
         return coefficients[:, :, None].expand(len(sigma), -1, *sigma.shape[-2:])
     return _series(coefficients, _place(sigma, plan))
-
-
-def node_slopes(sigma: Tensor, plan: BlurPlan) -> Tensor:
-    """Derivatives (BxKxHxW) of `node_weights` by σ. Forward mode takes five times as long."""
-    slopes = np.polynomial.chebyshev.chebder(np.array(plan.coefficients), axis=1)
-    if len(plan.coefficients[0]) == 1:
-        return sigma.new_zeros(len(sigma), len(plan.coefficients), *sigma.shape[-2:])
-    place, (slope, _) = _place(sigma, plan), place_line(plan)
-    if plan.shape == "exponential":
-        by_sigma = slope * (1 / (V_FLOOR + sigma))
-    else:
-        by_sigma = 2 * slope * (sigma / (V_FLOOR + sigma * sigma))
-    inside = place.abs() < 1
-    return _series(sigma.new_tensor(slopes), place) * (by_sigma * inside)
 
 
 def _place(sigma: Tensor, plan: BlurPlan) -> Tensor:

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from uwaug._support.compiled import OPTIONS, are_loaded, kept, loops_are_loaded, wanted
-from uwaug.formation.development import NEUTRAL, Development
+from uwaug.formation.development import Development
 from uwaug.formation.sensor import Sensor
+from uwaug.formation.setting import Setting
 from uwaug.light import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -30,9 +31,7 @@ _CLASSES = {Development, Sensor, Light, MarineSnow, type(None)}
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 
-def can(
-    image: Tensor, z: Tensor, medium: Medium, light: object, development: Development = NEUTRAL
-) -> bool:
+def can(image: Tensor, z: Tensor, setting: Setting) -> bool:
     """True if the loops form these pictures: in float32 or bytes on a CPU, without gradients.
     Arguments as for `uwaug.formation.image.form`.
     """
@@ -40,12 +39,14 @@ def can(
         return False
     if z.dtype != torch.float32 or torch.jit.is_tracing():  # type: ignore[attr-defined, no-untyped-call]
         return False
+    medium, light, development = setting.medium, setting.light, setting.development
     classes = {type(development), type(development.noise), type(light), *map(type, medium.snow)}
     if not classes <= _CLASSES or not _has_its_sums(medium):
         return False
+    if any(isinstance(number, Tensor) for number in vars(development).values()):
+        return False
     records = torch.is_grad_enabled()
-    pitch = light.pitch if isinstance(light, Light) else None
-    for value in (image, z, pitch, *medium.tensors(), *medium.point_spread.numbers().values()):
+    for value in (image, z, *medium.tensors(), None if light is None else light.pitch):
         if isinstance(value, Tensor):
             is_plain = type(value) in (Tensor, torch.nn.Parameter) and value.is_cpu
             if not is_plain or (records and value.requires_grad):
@@ -56,7 +57,7 @@ def can(
 def _has_its_sums(medium: Medium) -> bool:
     """True if the curves of a medium, which may be of a subclass, are its sums."""
     kind = type(medium)
-    names = ("sums", "curves", "image", "brightened", "under_lamp")
+    names = ("sums", "curves", "image", "brightened", "under_lamp", "width", "weights")
     return kind is Medium or all(getattr(kind, n) is getattr(Medium, n) for n in names)
 
 
@@ -82,7 +83,7 @@ def warm_up() -> None:
         medium = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(30.0))
         medium = medium.with_snow(MarineSnow(seed=0))
         for image in (torch.full((1, 3, 8, 8), 0.5), torch.zeros(1, 3, 8, 8, dtype=torch.uint8)):
-            form(image, z, medium.to(torch.float32), NEUTRAL, "srgb", None, 0.002)
+            form(image, z, Setting(medium))
 
 
 @cache

@@ -27,9 +27,9 @@ from uwaug.fast.tables import (
     Doubles,
     Floats,
     Indices,
-    LampsTable,
-    MediumTable,
+    RaysTable,
     StackTable,
+    WaterTable,
 )
 
 # ------------------------------------------------------------------------------ functions
@@ -319,10 +319,14 @@ def coarse_lines(
 
 # ------------------------------------------------------------------------------ lamps
 
+LIGHT, FACTOR, AT_LAMPS = 1, 7, 8
+"""First rows, in the memory of a tile, of: three channels of the scene, before three of sums;
+factors of daylight's veil; and what rays and lamps need. Row 0 holds the distances.
+"""
+
 METRES, SURFACE, ARRIVAL, LAMP_ROWS = 2, 3, 6, 19
-"""First rows, in the memory of lamps, of: the distance without the field; three channels that
-surfaces send; three that arrive; one row for each rate. Rows 0 and 1 hold tangents to the right and
-down.
+"""First rows, from `AT_LAMPS` on, of: the distance without the field; three channels that surfaces
+send; three that arrive; one row for each rate. Rows 0 and 1 hold tangents to the right and down.
 """
 
 _HALF, _3 = f32(0.5), f32(3)
@@ -454,30 +458,21 @@ def lamplight(t: Any, z: int, sharp: int, blurred: int, at: int, lamps: Any, n: 
     _send(t, z, sharp, blurred, at, lamps, n)
     d, surface = tile_rows(t, at + ARRIVAL, 3), tile_rows(t, at + SURFACE, 3)
     clear(d, 0, 3, n)
-    mixes = lamps.arriving.shape[1] == 9
     s = tile_rows(t, at + 9, 9)
     for k in range(lamps.places.shape[0]):
         _shine(t, z, at, lamps.places[k], lamps, n)
         w, fog = lamps.arriving[k], lamps.fog[k]
         for r in range(lamps.rates.size):
             rate = lamps.rates[r]
-            if mixes:
-                a0, a1, a2 = w[0, r], w[1, r], w[2, r]
-                b0, b1, b2 = w[3, r], w[4, r], w[5, r]
-                c0, c1, c2 = w[6, r], w[7, r], w[8, r]
-                for x in range(n):
-                    e = s[x] * exp2(rate * s[x + TILE])
-                    red, green, blue = surface[x], surface[x + TILE], surface[x + 2 * TILE]
-                    d[x] += e * (a0 * red + a1 * green + a2 * blue)
-                    d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue)
-                    d[x + 2 * TILE] += e * (c0 * red + c1 * green + c2 * blue)
-            else:
-                a0, a1, a2 = w[0, r], w[1, r], w[2, r]
-                for x in range(n):
-                    e = s[x] * exp2(rate * s[x + TILE])
-                    d[x] += a0 * e * surface[x]
-                    d[x + TILE] += a1 * e * surface[x + TILE]
-                    d[x + 2 * TILE] += a2 * e * surface[x + 2 * TILE]
+            a0, a1, a2 = w[0, r], w[1, r], w[2, r]
+            b0, b1, b2 = w[3, r], w[4, r], w[5, r]
+            c0, c1, c2 = w[6, r], w[7, r], w[8, r]
+            for x in range(n):
+                e = s[x] * exp2(rate * s[x + TILE])
+                red, green, blue = surface[x], surface[x + TILE], surface[x + 2 * TILE]
+                d[x] += e * (a0 * red + a1 * green + a2 * blue)
+                d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue)
+                d[x + 2 * TILE] += e * (c0 * red + c1 * green + c2 * blue)
         _scatter(t, at, lamps.places[k], lamps, n)
         strength = tile_row(t, at + 17)
         for r in range(lamps.rates.size):
@@ -520,111 +515,67 @@ def meter(
     z: Floats,
     metres: Floats,
     width: int,
-    farthest: float,
     points: Any,
-    medium: MediumTable,
-    rise: Floats,
-    further: DistanceTable,
-    lamps: LampsTable,
+    water: WaterTable,
+    rays: RaysTable,
     luminance: Doubles,
     brightness: Floats,
-) -> tuple[Doubles, float]:
+) -> Doubles:
     """Mean light at some pixels (3x3): of the scene, of what arrives without the blur, and of what
-    is positive of that; and the veil at the farthest distance, in the brightest channel.
+    is positive of that.
 
     Args:
         light (3xN), z, metres (N): of all pixels of a picture.
         width: of the picture, px.
-        farthest: the largest z.
         points (M): indices of the pixels; without a sign, as numba would test each that has one.
-        medium, further, lamps: tables.
-        rise (H, or 0): factors of the veil in rows.
+        water, rays: tables.
         luminance (3): weights of the channels.
-        brightness (M, or 0): is filled with the luminance of what arrives.
+        brightness (M): is filled with the luminance of what arrives.
     """
-    count, rates, direct = points.size, medium.rates, medium.direct.shape[1]
-    distances, J, d = np.empty(count, f32), np.empty((3, count), f32), np.zeros((3, count), f32)
-    factors = np.ones(count, f32)
-    for x in range(count):
-        distances[x] = z[points[x]]
-    for x in range(count * min(1, rise.size)):
-        factors[x] = rise[points[x] // width]
-    for c in range(3):
-        row, plane = J[c], light[c]
-        for x in range(count):
-            row[x] = plane[points[x]]
-    red, green, blue = J[0], J[1], J[2]
-    d0, d1, d2 = d[0], d[1], d[2]
-    mixes = medium.scatter.shape[0] == 9
-    for r in range(direct, rates.size):
-        rate, w, v = rates[r], medium.scatter, medium.veil
-        a3, b3, c3 = v[0, r - direct], v[1, r - direct], v[2, r - direct]
-        if mixes:
-            a0, a1, a2 = w[0, r], w[1, r], w[2, r]
-            b0, b1, b2 = w[3, r], w[4, r], w[5, r]
-            c0, c1, c2 = w[6, r], w[7, r], w[8, r]
-        else:
-            a0, b1, c2 = w[0, r], w[1, r], w[2, r]
-            a1 = a2 = b0 = b2 = c0 = c1 = _0
-        for x in range(count):
-            power, rest = exp2_parts(rate * distances[x])
-            e, less = power + rest, ((power - _1) + rest) * factors[x]
-            d0[x] += e * (a0 * red[x] + a1 * green[x] + a2 * blue[x]) + less * a3
-            d1[x] += e * (b0 * red[x] + b1 * green[x] + b2 * blue[x]) + less * b3
-            d2[x] += e * (c0 * red[x] + c1 * green[x] + c2 * blue[x]) + less * c3
-    if lamps.places.shape[0] > 0:
-        t = np.zeros((7 + LAMP_ROWS + lamps.rates.size) * TILE, np.float32)
-        for first in range(0, count, TILE):
-            n = min(TILE, count - first)
-            rows = tile_rows(t, 0, 9)
-            for x in range(n):
-                point = points[first + x]
-                rows[x] = distances[first + x]
-                rows[x + 7 * TILE] = (f32(point % width) - lamps.middle[0]) * lamps.tangent
-                rows[x + 8 * TILE] = (f32(point // width) - lamps.middle[1]) * lamps.tangent
-            row = tile_row(t, 7 + METRES)
-            for x in range(n):
-                row[x] = metres[points[first + x]]
-            for c in range(3):
-                copy(tile_row(t, 1 + c), J[c, first : first + n])
-                copy(tile_row(t, 4 + c), J[c, first : first + n])
-            lamplight(t, 0, 1, 4, 7, lamps, n)
-            for c in range(3):
-                row, lit = d[c, first : first + n], tile_row(t, 7 + ARRIVAL + c)
-                for x in range(n):
-                    row[x] += lit[x]
-    t, entries = np.zeros(5 * TILE, f32), np.zeros(TILE, i32)
-    for first in range(0, count * min(1, further.rows.shape[1]), TILE):  # in tiles, as in a picture
+    count, means, sums = points.size, np.zeros((3, 3)), np.zeros((9, LANES))
+    totals = rows_before(water)
+    t, entries = np.zeros((totals + 4) * TILE, f32), np.zeros(TILE, i32)
+    for first in range(0, count, TILE):
         n = min(TILE, count - first)
-        copy(tile_row(t, 0), distances[first : first + n])
+        some = points[first : first + n]
+        distances, way = tile_row(t, 0), tile_row(t, AT_LAMPS + METRES)
+        right, down = tile_row(t, AT_LAMPS), tile_row(t, AT_LAMPS + 1)
+        for x in range(n):
+            distances[x], way[x] = z[some[x]], metres[some[x]]
+            right[x] = (f32(some[x] % width) - rays.middle[0]) * rays.tangent
+            down[x] = (f32(some[x] // width) - rays.middle[1]) * rays.tangent
         for c in range(3):
-            copy(tile_row(t, 1 + c), d[c, first : first + n])
-        add_terms(t, 0, 1, 4, entries, further, n)
+            J, total, plane = tile_row(t, LIGHT + c), tile_row(t, totals + c), light[c]
+            for x in range(n):
+                J[x] = total[x] = plane[some[x]]
         for c in range(3):
-            copy(d[c, first : first + n], tile_row(t, 1 + c)[:n])
-    for x in range(brightness.size):
-        red, green, blue = d[0, x], d[1, x], d[2, x]
-        brightness[x] = luminance[0] * red + luminance[1] * green + luminance[2] * blue
-    means, sums = np.zeros((3, 3)), np.zeros((3, LANES))
-    for c in range(3):
-        sums[:] = 0
-        sent, arrives = J[c], d[c]
-        # side by side, as one sum waits for itself
-        for first in range(0, count, LANES):
-            s, a = sent[first : first + LANES], arrives[first : first + LANES]
-            for x in range(s.size):
-                sums[0, x] += s[x]
-                sums[1, x] += a[x]
-                sums[2, x] += max(a[x], _0)
-        for k in range(3):
-            means[k, c] = sums[k].sum()
-    brightest = -np.inf
-    for c in range(3):
-        veil = further.rows[c, -1:].sum() + 0.0
-        for r in range(direct, rates.size):
-            veil += medium.veil[c, r - direct] * np.expm1(rates[r] / _LOG2E * farthest)
-        brightest = max(brightest, veil)
-    return means / count, brightest
+            add_lanes(sums[c], tile_row(t, LIGHT + c), False, n)
+        arrive(t, totals, water, rays, totals + 3, entries, n)
+        red, green, blue = (
+            tile_row(t, totals),
+            tile_row(t, totals + 1),
+            tile_row(t, totals + 2),
+        )
+        bright = brightness[first : first + n]
+        for x in range(n):
+            bright[x] = luminance[0] * red[x] + luminance[1] * green[x] + luminance[2] * blue[x]
+        for c in range(3):
+            add_lanes(sums[3 + c], tile_row(t, totals + c), False, n)
+            add_lanes(sums[6 + c], tile_row(t, totals + c), True, n)
+    for k in range(9):
+        means[k // 3, k % 3] = sums[k].sum()
+    return means / count
+
+
+@inner
+def add_lanes(sums: Any, values: Any, positive: bool, n: int) -> None:
+    """Add values to `LANES` sums side by side, as one sum would wait for itself; of what is
+    `positive` alone.
+    """
+    for first in range(0, n, LANES):
+        part = values[first : min(first + LANES, n)]
+        for x in range(part.size):
+            sums[x] += max(part[x], _0) if positive else part[x]
 
 
 @inner
@@ -761,57 +712,51 @@ def blur_weights(t: Any, place: int, to: int, series: Any, n: int) -> None:
 
 
 @inner
-def curves(t: Any, z: int, to: int, medium: Any, rise: Any, n: int) -> None:
-    """T_β, T_G − T_β and V(0) − V of three channels in turn, from the distances in row z; the veil
-    times `rise`.
-    """
-    distances, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
-    scatter, veil, d = medium.scatter, medium.veil, tile_rows(t, to, 9)
-    clear(d, 0, 9, n)
-    for r in range(direct):
-        rate = rates[r]
-        a0, a1, a2 = medium.direct[0, r], medium.direct[1, r], medium.direct[2, r]
-        b0, b1, b2 = scatter[0, r], scatter[1, r], scatter[2, r]
-        for x in range(n):
-            e = exp2(rate * distances[x])
-            d[x] += a0 * e
-            d[x + TILE] += b0 * e
-            d[x + 3 * TILE] += a1 * e
-            d[x + 4 * TILE] += b1 * e
-            d[x + 6 * TILE] += a2 * e
-            d[x + 7 * TILE] += b2 * e
-    for r in range(direct, rates.size):
-        rate = rates[r]
-        a0, a1 = rise * veil[0, r - direct], rise * veil[1, r - direct]
-        a2 = rise * veil[2, r - direct]
-        b0, b1, b2 = scatter[0, r], scatter[1, r], scatter[2, r]
-        for x in range(n):
-            power, rest = exp2_parts(rate * distances[x])
-            e, less = power + rest, (power - _1) + rest
-            d[x + TILE] += b0 * e
-            d[x + 2 * TILE] += a0 * less
-            d[x + 4 * TILE] += b1 * e
-            d[x + 5 * TILE] += a1 * less
-            d[x + 7 * TILE] += b2 * e
-            d[x + 8 * TILE] += a2 * less
+def rows_before(water: Any) -> int:
+    """Rows of a tile's memory that distances, light, rays and lamps take."""
+    lamps = water.lamps
+    return AT_LAMPS + (LAMP_ROWS + lamps.rates.size if lamps.places.shape[0] > 0 else 3)
 
 
 @inner
-def _sum(total: Any, curves: Any, light: Any) -> None:
-    """D + F + B of a channel, in place of its blurred light."""
-    for x in range(light.size):
-        sharp = curves[x + 2 * TILE] + curves[x] * light[x]
-        total[x] = sharp + curves[x + TILE] * total[x]
+def arrive(t: Any, total: int, water: Any, rays: Any, fraction: int, entries: Any, n: int) -> None:
+    """D + F + B and further light, in place of the blurred light in three rows from `total` on."""
+    is_lit = water.lamps.places.shape[0] > 0
+    _rise(t, rays, n)
+    if is_lit:
+        lamplight(t, 0, LIGHT, total, AT_LAMPS, water.lamps, n)
+    _mix(t, 0, LIGHT, total, water.medium, n)
+    if water.further.rows.shape[1] > 0:
+        add_terms(t, 0, total, fraction, entries, water.further, n)
+    for c in range(3 * is_lit):
+        d, arrival = tile_row(t, total + c), tile_row(t, AT_LAMPS + ARRIVAL + c)
+        for x in range(n):
+            d[x] += arrival[x]
 
 
 @inner
-def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, rise: Any, n: int) -> None:
-    """D + F + B of surfaces with spectra, in place of blurred light B in three rows from `total`
-    on: Σ T_β·(J − B) + T_G·B and the veil times `rise`, for J in three rows from `sharp` on. (Sums
-    of 21 curves before the products take twice as long.)
+def _rise(t: Any, rays: Any, n: int) -> None:
+    """Factors of daylight's veil on rays, see `uwaug.light.direction`."""
+    factors, s = tile_row(t, FACTOR), tile_rows(t, AT_LAMPS, 2)
+    if not rays.directed:
+        for x in range(n):
+            factors[x] = _1
+        return
+    for x in range(n):
+        X, Y = s[x], s[x + TILE]
+        rise = (rays.sine - Y * rays.cosine) / np.sqrt(_1 + X * X + Y * Y)
+        less = _1 - rays.rise * min(rise, rays.most)
+        factors[x] = _1 / (less * less)
+
+
+@inner
+def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, n: int) -> None:
+    """D + F + B in place of blurred light B in three rows from `total` on: Σ T_β·(J − B) + T_G·B
+    and the veil times its factors, for J in three rows from `sharp` on. (Sums of 21 curves before
+    the products take twice as long.)
     """
     distances, rates, direct = tile_row(t, z), medium.rates, medium.direct.shape[1]
-    X, B = tile_rows(t, sharp, 3), tile_rows(t, total, 3)
+    X, B, factors = tile_rows(t, sharp, 3), tile_rows(t, total, 3), tile_row(t, FACTOR)
     d = tile_rows(t, sharp + 3, 3)
     clear(d, 0, 3, n)
     for c in range(3):
@@ -829,13 +774,13 @@ def _mix(t: Any, z: int, sharp: int, total: int, medium: Any, rise: Any, n: int)
             d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue)
             d[x + 2 * TILE] += e * (c0 * red + c1 * green + c2 * blue)
     for r in range(direct, rates.size):
-        rate, w, v = rates[r], medium.scatter, medium.veil
-        a0, a1, a2, a3 = w[0, r], w[1, r], w[2, r], rise * v[0, r - direct]
-        b0, b1, b2, b3 = w[3, r], w[4, r], w[5, r], rise * v[1, r - direct]
-        c0, c1, c2, c3 = w[6, r], w[7, r], w[8, r], rise * v[2, r - direct]
+        rate, w, v = rates[r], medium.signal[:, r - direct], medium.veil[:, r - direct]
+        a0, a1, a2, a3 = w[0], w[1], w[2], v[0]
+        b0, b1, b2, b3 = w[3], w[4], w[5], v[1]
+        c0, c1, c2, c3 = w[6], w[7], w[8], v[2]
         for x in range(n):
             power, rest = exp2_parts(rate * distances[x])
-            e, less = power + rest, (power - _1) + rest
+            e, less = power + rest, ((power - _1) + rest) * factors[x]
             red, green, blue = B[x], B[x + TILE], B[x + 2 * TILE]
             d[x] += e * (a0 * red + a1 * green + a2 * blue) + less * a3
             d[x + TILE] += e * (b0 * red + b1 * green + b2 * blue) + less * b3
@@ -940,10 +885,8 @@ def render_rows(
     z: Floats,
     metres: Floats,
     snow: Floats,
-    medium: MediumTable,
-    rise: Floats,
-    further: DistanceTable,
-    lamps: LampsTable,
+    water: WaterTable,
+    rays: RaysTable,
     widths: DistanceTable,
     stack: StackTable,
     grid: Floats,
@@ -963,8 +906,7 @@ def render_rows(
     Args:
         light (3xHxW), z, metres (HxW): of the scene; effective distance, and without the field, m.
         snow (3xHxW, or 3x1x0): light of particles.
-        medium, further, lamps, widths, stack: tables.
-        rise (H, or 0): factors of the veil in rows.
+        water, rays, widths, stack: tables.
         grid (NxW), starts (m): lines of all coarse grids; the index at which those of each would
             start if they were whole.
         normals (N), begins (3xH): of the sensor's noise; the index of the first for each row. N is
@@ -979,20 +921,17 @@ def render_rows(
     narrow, wide, margin = stack.taps.shape[0], stack.back.shape[0], stack.margin
     padded = -(-width // TILE) * TILE + 2 * margin + 2
     lines = np.zeros((narrow * 3 + 1, padded), np.float32)
-    spectral = medium.direct.shape[0] == 9
-    # rows of a tile: distance, curves, shares, totals, place and terms of a series, those of lamps,
-    # and fractions between entries of a table
-    shares = 10
+    # rows of a tile: shares, totals, place and terms of a series, fractions between entries of a
+    # table
+    shares = rows_before(water)
     totals = shares + count
-    at_lamps = totals + 3 + max(terms, 1)
-    is_lit = lamps.places.shape[0] > 0
-    fractions = at_lamps + LAMP_ROWS + lamps.rates.size if is_lit else at_lamps
+    fractions = totals + 3 + max(terms, 1)
     t, entries = np.zeros((fractions + 1) * TILE, np.float32), np.zeros(TILE, np.int32)
     tile_row(t, shares)[:] = _1  # if there is one
     sharp = count - narrow - wide
-    z_row = tile_row(t, 0)
+    z_row, way = tile_row(t, 0), tile_row(t, AT_LAMPS + METRES)
+    right_of, down = tile_row(t, AT_LAMPS), tile_row(t, AT_LAMPS + 1)
     for y in range(start, stop):
-        factor = rise[y] if rise.size > 0 else _1
         for c in range(3):
             for k in range(narrow):
                 line = lines[k * 3 + c]
@@ -1004,11 +943,16 @@ def render_rows(
             # whole registers, whatever their size: a rest would be computed by other instructions
             n = min(TILE, -(-(right - left) // LANES) * LANES)
             copy(z_row, z[y, left:right])
+            copy(way, metres[y, left:right])
+            for x in range(n):
+                right_of[x] = (f32(left + x) - rays.middle[0]) * rays.tangent
+                down[x] = (f32(y) - rays.middle[1]) * rays.tangent
             if count > 1:
                 width_places(t, 0, totals + 3, fractions, entries, widths, n)
                 blur_weights(t, totals + 3, shares, stack.series, n)
             for c in range(3):
                 J, total_row = light[c, y, left:right], tile_row(t, totals + c)
+                copy(tile_row(t, LIGHT + c), J)
                 total_row[:] = _0
                 if sharp:
                     share = tile_row(t, shares)
@@ -1022,29 +966,7 @@ def render_rows(
                     share = tile_row(t, shares + sharp + narrow + k)
                     first = starts[k] + 3 * stack.back_first[k, y] + c
                     add_enlarged(total_row, share, grid, first, left, right, stack.back[k, y])
-            if is_lit or spectral:
-                for c in range(3):
-                    copy(tile_row(t, 1 + c), light[c, y, left:right])
-            if is_lit:
-                right_of, down = tile_row(t, at_lamps), tile_row(t, at_lamps + 1)
-                for x in range(n):
-                    right_of[x] = (f32(left + x) - lamps.middle[0]) * lamps.tangent
-                    down[x] = (f32(y) - lamps.middle[1]) * lamps.tangent
-                copy(tile_row(t, at_lamps + METRES), metres[y, left:right])
-                lamplight(t, 0, 1, totals, at_lamps, lamps, n)
-            if spectral:
-                _mix(t, 0, 1, totals, medium, factor, n)
-            else:
-                curves(t, 0, 1, medium, factor, n)
-                for c in range(3):
-                    curve_rows = tile_rows(t, 1 + 3 * c, 3)
-                    _sum(tile_row(t, totals + c), curve_rows, light[c, y, left:right])
-            if further.rows.shape[1] > 0:
-                add_terms(t, 0, totals, fractions, entries, further, n)
-            for c in range(3 * is_lit):
-                total_row, arrival = tile_row(t, totals + c), tile_row(t, at_lamps + ARRIVAL + c)
-                for x in range(n):
-                    total_row[x] += arrival[x]
+            arrive(t, totals, water, rays, fractions, entries, n)
             for c in range(3 * min(1, snow.size)):
                 total_row, layer = tile_row(t, totals + c), snow[c, y, left:right]
                 for x in range(layer.size):

@@ -1,12 +1,14 @@
 """Image formation by the compiled loops, from the stored picture to the stored picture."""
 
+import math
 import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cache, lru_cache, partial
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -15,26 +17,26 @@ from torch import Tensor
 from torch.utils.data import get_worker_info
 
 from uwaug._support.checks import extent
-from uwaug._support.types import Array, ColorSpace
+from uwaug._support.types import Array
 from uwaug.blur.plan import BlurPlan
 from uwaug.fast import kernels
 from uwaug.fast.tables import (
     DevelopmentTable,
-    DistanceTable,
     Floats,
     Indices,
     LampsTable,
-    MediumTable,
     PlanTable,
+    RaysTable,
+    WaterTable,
     lamps_table,
     medium_table,
     places_table,
     plan_table,
-    rise_table,
+    rays_tables,
     terms_table,
 )
 from uwaug.formation.colour import LUMINANCE, headroom
-from uwaug.formation.demand import Weights, blurred_between, plan_between
+from uwaug.formation.demand import blurred_between, demand_of
 from uwaug.formation.development import (
     BURNT,
     METERED,
@@ -44,9 +46,12 @@ from uwaug.formation.development import (
     tone_offset,
 )
 from uwaug.formation.sensor import standard_normals
+from uwaug.formation.setting import Setting
 from uwaug.light import Light
 from uwaug.light.snow import flakes
 from uwaug.optics.medium import Medium
+from uwaug.optics.view import Size
+from uwaug.optics.weights import Weights
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
 
@@ -56,131 +61,174 @@ _BAND = 1 << 20
 """Pixels whose coarse grids are held at a time: up to 24 MiB."""
 
 
+class _Scene(NamedTuple):
+    """One picture of a batch, as the loops take it.
+
+    Attributes:
+        light (3xHxW): linear light.
+        z, metres (HxW): effective distance, and without the field, m.
+        water, rays: tables.
+    """
+
+    light: Floats
+    z: Floats
+    metres: Floats
+    water: WaterTable
+    rays: RaysTable
+
+
 def form(
     image: Tensor,
     z: Tensor,
-    medium: Medium,
-    development: Development,
-    color_space: ColorSpace,
-    plan: BlurPlan | None,
-    tolerance: float,
-    light: Light | None = None,
+    setting: Setting,
+    plan: BlurPlan | None = None,
+    tolerance: float = 0.002,
     metres: Tensor | None = None,
 ) -> Tensor:
     """D + F + B as the camera stores it, see `uwaug.formation.image.form`."""
-    srgb, size = color_space == "srgb", (z.shape[-2], z.shape[-1])
+    medium, light, development = setting.medium, setting.light, setting.development
+    srgb, size = setting.color_space == "srgb", (z.shape[-2], z.shape[-1])
     low, high = (0.0, 1.0) if image.dtype == torch.uint8 else extent(image)
-    J = _decoded(image, srgb, low < 0 or high > 1)
-    rise = rise_table(light, size)
-    batch = max(len(J), len(z), len(medium), len(rise))
-    scenes, z_maps = J.contiguous().numpy(), z.detach().contiguous().numpy()
-    metre_maps = z_maps if metres is None else metres.detach().contiguous().numpy()
-    weights = brightest = Weights.of(medium)
-    if light is not None:
-        brightest = Weights.of(light.planned(medium))
-        weights = weights.seen_by(np.full((1, 3), light.daylight))
-    media = [medium] if len(medium) == 1 else [medium[n] for n in range(len(medium))]
-    ends = blurred_between(z, brightest)
-    rows = range(max(len(medium), len(rise)))
-    tables = [
-        (
-            medium_table(weights, n % len(medium)),
-            rise[n % len(rise)],
-            terms_table(media[n % len(media)], z_maps),
-            lamps_table(light, brightest, size, n % len(medium)),
-        )
-        for n in rows
+    J = _decoded(image, srgb, low < 0 or high > 1).contiguous()
+    maps = z.detach().contiguous()
+    unscaled = maps if metres is None else metres.detach().contiguous()
+    weights = _in_pixels(medium, setting, size)
+    lit, brightest = medium, weights
+    if light is not None and light.lamps:
+        lit = light.planned(medium)
+        brightest = _in_pixels(lit, setting, size)
+    lamps = [
+        lamps_table(light, brightest.row(n), is_spectral=lit.is_spectral)
+        for n in range(len(medium))
     ]
-    gains = _gains(scenes, z_maps, metre_maps, tables, development, light is not None)
+    waters = _waters(medium, light, weights, lamps, maps)
+    rays = rays_tables(setting.view, light, size)
+    batch = max(len(J), len(maps), len(medium), len(rays))
+    columns = J.numpy(), maps.numpy()[:, 0], unscaled.numpy()[:, 0], waters, rays
+    rows = zip(*(_each(column, batch) for column in columns), strict=True)
+    scenes = [_Scene(*row) for row in rows]
+    gains = _gains(scenes, development, has_light=light is not None)
+    ends = blurred_between(z, brightest)
     if plan is None:
-        plan = plan_between(ends, medium, size, tolerance, brightest.seen_by(gains))
+        law = replace(medium.law, unit="px")
+        plan = demand_of(brightest.seen_by(gains), law, ends, tolerance).plan(size, shared=True)
     blurs = plan_table(plan, size)
-    widths = [places_table(row, plan, size, ends) for row in media]
+    widths = [places_table(weights.row(n), plan, ends) for n in range(len(medium))]
     normals, begins, developments = _camera(development, gains, batch, size)
     highest = np.ones(batch, np.float32)
     if srgb and high > 1:
         highest *= torch.as_tensor(headroom(image)).float().flatten().numpy()
+    layers = _snow(setting, z, z if metres is None else metres, batch)
     kind = torch.uint8 if image.dtype == torch.uint8 else torch.float32
     result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
-    step = max(_BAND // size[1], 64)
-    for i, scene in enumerate(scenes):
-        # one picture in several waters is blurred once
-        samples = range(batch) if len(scenes) == 1 else (i,)
-        for first in range(0, size[0], step):
-            lines = range(first, min(first + step, size[0]))
-            grid, starts = _coarse_grids(scene, blurs, lines)
-            for n in samples:
-                out = result[n].numpy()
-                arguments: Any = (
-                    scene,
-                    z_maps[n % len(z_maps), 0],
-                    metre_maps[n % len(metre_maps), 0],
-                    _snow(medium, light, z, metres, n),
-                    *tables[n % len(tables)],
-                    widths[n % len(widths)],
-                    blurs.stack,
-                    grid,
-                    starts,
-                    normals,
-                    begins[n],
-                    developments[n % len(developments)],
-                    srgb,
-                    highest[n],
-                    *((_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)),
-                )
-                _in_bands(partial(kernels.render_rows, *arguments), lines, size[1])
+    pictures = list(
+        zip(
+            scenes,
+            layers,
+            _each(widths, batch),
+            begins,
+            _each(developments, batch),
+            highest,
+            result.numpy(),
+            strict=True,
+        )
+    )
+    for lines in _strips(size):
+        for n, (scene, layer, width, begin, table, most, out) in enumerate(pictures):
+            if n == 0 or len(J) > 1:  # one picture in several waters is blurred once
+                grid, starts = _coarse_grids(scene.light, blurs, lines)
+            inputs: Any = (
+                *(scene.light, scene.z, scene.metres, layer, scene.water, scene.rays),
+                *(width, blurs.stack, grid, starts, normals, begin, table, srgb, most),
+                *((_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)),
+            )
+            _in_bands(partial(kernels.render_rows, *inputs), lines, size[1])
     return result.to(image.dtype)
 
 
-def _snow(medium: Medium, light: Light | None, z: Tensor, metres: Tensor | None, n: int) -> Floats:
-    """Light (3xHxW, or 3x1x0 for none) of the particles before a picture of a batch."""
-    particles = flakes(medium, light, z, metres, n) if medium.snow else None
-    if particles is None:
-        return _NO_FLOATS
-    places, sent = (values.numpy() for values in particles)
-    scene = (z if metres is None else metres)[n % len(z), 0].contiguous().numpy()
-    layer = np.zeros((3, *scene.shape), np.float32)
-    kernels.splat(np.ascontiguousarray(places), sent.astype(np.float32), scene, layer)
-    return layer
+def _each(rows: Any, batch: int) -> list[Any]:
+    """A row for each picture of a batch; a single one serves all."""
+    return [rows[n % len(rows)] for n in range(batch)]
 
 
-def _gains(
-    scenes: Floats,
-    z: Floats,
-    metres: Floats,
-    tables: Sequence[tuple[MediumTable, Floats, DistanceTable, LampsTable]],
-    development: Development,
-    has_light: bool,
-) -> Array:
-    """Gains (B or 1, 3), or (B or 1, 3, 3), as of `Development.gain`."""
+def _strips(size: Size) -> list[range]:
+    """Rows of a picture whose coarse grids are held at a time."""
+    step = max(_BAND // size[1], 64)
+    return [range(first, min(first + step, size[0])) for first in range(0, size[0], step)]
+
+
+def _in_pixels(medium: Medium, setting: Setting, size: Size) -> Weights:
+    """A medium as arrays, whose widths are px."""
+    weights = medium.weights()
+    return weights._replace(scale=weights.scale * medium.law.pixels(size, setting.view))
+
+
+def _waters(
+    medium: Medium, light: Light | None, weights: Weights, lamps: list[LampsTable], z: Tensor
+) -> list[WaterTable]:
+    """Tables of each medium: in the light of the day, and under lamps."""
+    day = weights
+    if light is not None and light.daylight != 1:
+        day = weights.seen_by(light.daylight * np.eye(3)[None])
+    return [
+        WaterTable(
+            medium_table(day.row(n)),
+            terms_table(medium if len(medium) == 1 else medium[n], z.numpy()),
+            lamps[n],
+        )
+        for n in range(len(medium))
+    ]
+
+
+def _snow(setting: Setting, z: Tensor, metres: Tensor, batch: int) -> list[Floats]:
+    """Light (3xHxW, or 3x1x0 for none) of the particles before each picture."""
+    medium, layers = setting.medium, [_NO_FLOATS] * batch
+    for n in range(batch if medium.snow else 0):
+        scene = metres[n % len(metres)]
+        row = medium[n % len(medium)]
+        particles = flakes(row, setting.light, z[n % len(z)], setting.view, scene)
+        if particles is not None:
+            places, sent = (values.numpy() for values in particles)
+            layers[n] = np.zeros((3, *scene.shape[-2:]), np.float32)
+            solid = scene[0].contiguous().numpy()
+            kernels.splat(np.ascontiguousarray(places), sent.astype(np.float32), solid, layers[n])
+    return layers
+
+
+def _gains(scenes: Sequence[_Scene], development: Development, *, has_light: bool) -> Array:
+    """Gains (B or 1, 3, 3), as of `Development.gain`."""
     factors, balance = np.ones(3), 0.0
     if isinstance(development.white_balance, tuple):
         factors = np.array(development.white_balance)
     else:
         balance = float(development.white_balance)
-    saturation, stops = float(development.saturation), float(development.exposure)
-    camera = stops, bool(development.metered), balance, factors, saturation
+    camera = float(development.exposure), bool(development.metered), balance, factors
+    saturation = float(development.saturation)
     if not development.measures:
-        matrices = gain_at(np.zeros((3, 3)), 0.0, *camera)[None]
-    else:
-        height, width = z.shape[-2:]
+        return gain_at(np.zeros((3, 3)), 0.0, *camera, saturation)[None]
+    matrices = []
+    for scene in scenes:
+        height, width = scene.z.shape
         points = _points(height, width)
-        lights = scenes.reshape(len(scenes), 3, -1)
-        z, metres = z.reshape(len(z), -1), metres.reshape(len(metres), -1)
-        matrices = np.empty((max(len(lights), len(z), len(tables)), 3, 3))
-        brightness = np.empty(len(points) if has_light else 0, np.float32)
-        for n in range(len(matrices)):
-            light, row = lights[n % len(lights)], tables[n % len(tables)]
-            maps = z[n % len(z)], metres[n % len(metres)]
-            farthest = float(maps[0].max())
-            view = width, farthest, points
-            arguments: Any = (light, *maps, *view, *row, _LUMINANCE, brightness)
-            means, veil = kernels.meter(*arguments)
-            if has_light:
-                burnt = round(BURNT * METERED)
-                veil = float(np.partition(brightness, -burnt)[-burnt])
-            matrices[n] = gain_at(means, veil, *camera)
-    return matrices if saturation != 1 else np.diagonal(matrices, 0, 1, 2)
+        brightness = np.empty(len(points), np.float32)
+        maps: Any = scene.light.reshape(3, -1), scene.z.reshape(-1), scene.metres.reshape(-1)
+        tables: Any = scene.water, scene.rays
+        means = kernels.meter(*maps, width, points, *tables, _LUMINANCE, brightness)
+        if has_light:
+            burnt = round(BURNT * METERED)
+            highlight = float(np.partition(brightness, -burnt)[-burnt])
+        else:
+            highlight = _farthest_veil(scene)
+        matrices.append(gain_at(means, highlight, *camera, saturation))
+    return np.stack(matrices)
+
+
+def _farthest_veil(scene: _Scene) -> float:
+    """Light that the water adds before the farthest pixel, in the brightest channel."""
+    medium, further = scene.water.medium, scene.water.further.rows
+    rates = medium.rates[-medium.veil.shape[1] :].astype(np.float64) * math.log(2)
+    veil = medium.veil @ np.expm1(rates * float(scene.z.max()))
+    return float((veil + further[:, -1:].sum(1)).max())
 
 
 @lru_cache(maxsize=8)
@@ -203,8 +251,6 @@ def _camera(
         begins, variance = sensor.starts(batch, size).numpy(), sensor.variance
     shape = development.gamut, development.tone, tone_offset(float(development.tone))
     dark, photons, gamut, tone, offset = np.array([*variance, *shape], np.float32)
-    if gains.ndim == 2:
-        gains = gains[:, None] * np.eye(3)
     flat = gains.reshape(-1, 9).astype(np.float32)
     tables = [DevelopmentTable(dark, photons, gain, gamut, tone, offset) for gain in flat]
     return normals, begins, tables

@@ -13,17 +13,17 @@ from uwaug._support.types import Array
 from uwaug.blur.banded import Kind, Node, mirrored, whole
 from uwaug.blur.kernels import blur_kernel
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
-from uwaug.formation.demand import Weights, widths_at
 from uwaug.light.backscatter import ASYMMETRY, NODE_WEIGHTS, NODES
-from uwaug.light.direction import factor_of
+from uwaug.light.direction import MAX_RISE, RISE
 from uwaug.light.light import LAMP_RADIUS_M, Light
 from uwaug.optics.medium import Medium
+from uwaug.optics.view import Size, View
+from uwaug.optics.weights import Weights
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Indices = NDArray[np.int64]
-Size = tuple[int, int]
 
 
 class CoarseTable(NamedTuple):
@@ -111,15 +111,14 @@ class MediumTable(NamedTuple):
     """A medium as the loops take it.
 
     Attributes:
-        rates (R): rates times −log2(e), those of the direct term first.
-        direct (3, K), scatter (3, R), veil (3, R − K): weights; those of the veil for e^−x − 1.
-            For surfaces with spectra, direct and scatter have nine rows: three channels of the
-            scene for each of the picture.
+        rates (K + L): rates times −log2(e), those of the direct term first.
+        direct (9, K), signal (9, L), veil (3, L): weights; those of the veil for e^−x − 1. The nine
+            are three channels of the scene for each of the picture.
     """
 
     rates: Floats
     direct: Floats
-    scatter: Floats
+    signal: Floats
     veil: Floats
 
 
@@ -133,7 +132,7 @@ class LampsTable(NamedTuple):
         asymmetry: g of the phase function.
         nodes (2, Q): nodes and weights of the quadrature along a ray.
         rates (R): rates times −log2(e).
-        arriving (N, 3 or 9, R), fog (N, 3, R): weights of the light from surfaces and from water,
+        arriving (N, 9, R), fog (N, 3, R): weights of the light from surfaces and from water,
             for each lamp.
         straight_rates (K): rates of T_β, times −log2(e).
         straight (S, K), signal (S, R): weights of T_β and T_G, whose ratio is the share of light
@@ -152,8 +151,36 @@ class LampsTable(NamedTuple):
     straight_rates: Floats
     straight: Floats
     signal: Floats
-    tangent: np.float32
+
+
+class WaterTable(NamedTuple):
+    """All that weakens or sends light before one picture: the sums of its medium, further terms by
+    distance, and lamps.
+    """
+
+    medium: MediumTable
+    further: DistanceTable
+    lamps: LampsTable
+
+
+class RaysTable(NamedTuple):
+    """Rays of a picture, and the direction of its daylight, see `uwaug.light.direction`.
+
+    Attributes:
+        middle (2): column and row of the camera's axis.
+        tangent: tangent of the angle of a pixel there.
+        directed: True if the veil depends on the elevation of a ray.
+        sine, cosine: of the elevation of the axis.
+        rise, most: constants of the factor.
+    """
+
     middle: Floats
+    tangent: np.float32
+    directed: bool
+    sine: np.float32
+    cosine: np.float32
+    rise: np.float32
+    most: np.float32
 
 
 # ------------------------------------------------------------------------------ plans
@@ -288,25 +315,23 @@ _MIN_DISTANCE = 1e-6
 """m, and share of the farthest distance: stands for 0, which has no logarithm."""
 
 
-def medium_table(weights: Weights, n: int) -> MediumTable:
-    """The table of the `n`-th row of a medium."""
-    beta, direct, G, signal, veil = [rows[n].astype(np.float32) for rows in weights[:5]]
+def medium_table(row: Weights) -> MediumTable:
+    """The table of a medium of one row."""
+    beta, direct, G, signal, veil = [values[0].astype(np.float32) for values in row[:5]]
     rates = np.concatenate((beta, G)) * np.float32(-math.log2(math.e))
-    return MediumTable(rates, direct, np.concatenate((-direct, signal), 1), -veil)
+    return MediumTable(rates, direct, signal, -veil)
 
 
-def places_table(
-    medium: Medium, plan: BlurPlan, size: Size, ends: tuple[float, float]
-) -> DistanceTable:
-    """Places (−1…1) of the blur's widths in a plan, at distances between two ends, m, for pictures
-    of one size; without entries if the plan has one width.
+def places_table(row: Weights, plan: BlurPlan, ends: tuple[float, float]) -> DistanceTable:
+    """Places (−1…1) of the blur's widths, px, in a plan, at distances between two ends, m; without
+    entries if the plan has one width.
     """
     if len(plan.sigmas) == 1:
         return DistanceTable(np.int32(0), np.zeros((1, 0), np.float32))
     slope, offset = place_line(plan)
 
     def places(z: Array) -> Array:
-        x = widths_at(medium, z, size) / V_FLOOR
+        x = row.widths(z) / V_FLOOR
         x = x if plan.shape == "exponential" else V_FLOOR * x * x
         return slope * np.log1p(x) + offset
 
@@ -341,19 +366,16 @@ def _tabulated(function: Callable[[Array], Array], ends: tuple[float, float]) ->
     return DistanceTable(entries[0], rows.astype(np.float32))
 
 
-def lamps_table(light: Light | None, lamplit: Weights, size: Size, n: int) -> LampsTable:
-    """The table of lamps over the `n`-th row of a water (`uwaug.Medium.under_lamp`), in pictures of
-    one size.
-    """
+def lamps_table(light: Light | None, row: Weights, *, is_spectral: bool) -> LampsTable:
+    """The table of lamps over a water of one row, from `uwaug.Medium.under_lamp`."""
     if light is None or not light.lamps:
         return _NO_LAMPS
-    row = Weights(*(rows[n % len(rows)][None] for rows in lamplit))
-    colours = [lamp.power * np.array(lamp.color) for lamp in light.lamps]
+    colours = [np.diag(lamp.power * np.array(lamp.color)) for lamp in light.lamps]
     of_lamps = [row.seen_by(colour[None]) for colour in colours]
-    # one for each channel; for surfaces with spectra, one for all
-    straight, signal = [
-        x[0] if len(x[0]) == 3 else x[0].sum(0, keepdims=True) for x in (row.direct, row.signal)
-    ]
+    # one share for each channel; for surfaces with spectra, one for all
+    straight, signal = (x.reshape(3, 3, -1).sum(1) for x in (row.direct, row.signal))
+    if is_spectral:
+        straight, signal = straight.sum(0, keepdims=True), signal.sum(0, keepdims=True)
     places = [(*lamp.position, *lamp.axis, *lamp.fade, lamp.cone is None) for lamp in light.lamps]
     return LampsTable(
         places=_floats(places),
@@ -366,8 +388,6 @@ def lamps_table(light: Light | None, lamplit: Weights, size: Size, n: int) -> La
         straight_rates=_floats(-math.log2(math.e) * row.beta[0]),
         straight=_floats(straight),
         signal=_floats(signal),
-        tangent=np.float32(_tangent(light, size)),
-        middle=_floats([(side - 1) / 2 for side in size[::-1]]),
     )
 
 
@@ -375,30 +395,22 @@ def _floats(values: Any) -> Floats:
     return np.ascontiguousarray(values, np.float32)
 
 
-def rise_table(light: Light | None, size: Size) -> Floats:
-    """Factors of daylight's veil in the rows (B or 1, H) of pictures of one size; 1x0 if it is
-    alike in all directions.
-    """
-    if light is None or light.pitch is None:
-        return np.ones((1, 0), np.float32)
-    pitch = (
-        light.pitch.detach().double().numpy()
-        if isinstance(light.pitch, torch.Tensor)
-        else light.pitch
-    )
-    angles = np.radians(np.array(pitch, np.float64).reshape(-1, 1))
-    down = _tangent(light, size) * (np.arange(size[0]) - (size[0] - 1) / 2)
-    return _floats(factor_of(np.sin(angles), np.cos(angles), down))
-
-
-def _tangent(light: Light, size: Size) -> float:
-    """Tangent of the angle of a pixel at the middle of the view."""
-    return 2 * math.tan(math.radians(light.view / 2)) / size[1]
+def rays_tables(view: View, light: Light | None, size: Size) -> list[RaysTable]:
+    """Tables of the rays of pictures of one size: one, or one for each pitch."""
+    middle, tangent = _floats(view.middle(size)), np.float32(1 / view.focal(size[1]))
+    rise, most = np.float32(RISE), np.float32(MAX_RISE)
+    pitch = None if light is None else light.pitch
+    if pitch is None:
+        return [RaysTable(middle, tangent, False, _0, _0, rise, most)]
+    pitches = pitch.detach().flatten().tolist() if isinstance(pitch, torch.Tensor) else [pitch]
+    tables = []
+    for angle in map(math.radians, pitches):
+        sine, cosine = np.float32(math.sin(angle)), np.float32(math.cos(angle))
+        tables.append(RaysTable(middle, tangent, True, sine, cosine, rise, most))
+    return tables
 
 
 _NONE = [np.zeros((0,) * axes, np.float32) for axes in range(4)]
 _0 = np.float32(0)
-_NO_LAMPS = LampsTable._make(
-    [_NONE[2], _0, _0, *[_NONE[n] for n in (2, 1, 3, 3, 1, 2, 2)], _0, _NONE[1]]
-)
+_NO_LAMPS = LampsTable._make([_NONE[2], _0, _0, *[_NONE[n] for n in (2, 1, 3, 3, 1, 2, 2)]])
 """The table for daylight."""

@@ -28,7 +28,7 @@ from uwaug.formation.image import form_image
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
+from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water
 from uwaug.presets.scene import Scene
@@ -88,7 +88,7 @@ def preset_case(name: str, preset: RandomUnderwater) -> Case:
 
 def in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
     """Make a module of waters, 5 m deep, with spectral surfaces and the calibrated width law."""
-    law = PointSpread.calibrated(scene.focal_px or FOCAL_LENGTH * scene.image.shape[-1])
+    law = PointSpread.calibrated()
     media = (
         Medium.from_water(
             water,
@@ -99,7 +99,8 @@ def in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
         )
         for water in waters
     )
-    return Underwater(Medium.stack(media), None, development=Development("auto", gamut=1.0))
+    camera = Development("auto", gamut=1.0)
+    return Underwater(Medium.stack(media), None, development=camera, view=scene.view)
 
 
 def draw_contact_sheet(scene: Scene) -> "Figure":
@@ -185,19 +186,18 @@ def draw_width_laws(scene: Scene) -> "Figure":
     """Draw the paper's width law beside the one calibrated to Monte Carlo light transport."""
     from matplotlib.patches import Rectangle
 
-    assert scene.focal_px is not None
+    height, width = scene.image.shape[-2:]
     constants, papers = Scattering.CALIBRATED, Scattering.PAPER
     caption = (
         f"Paper's: Gaussian, g = {papers.g:g}, μ = {papers.mu:g}. Calibrated to Monte Carlo light "
         f"transport: exponential, g = {constants.g:g}, μ = {constants.mu:g}, focal length "
-        f"{scene.focal_px:.0f} px. Scene 1 m deep."
+        f"{scene.view.focal(width):.0f} px. Scene 1 m deep."
     )
     heading = f"Width laws of the forward scatter, Jerlov {_COASTAL_TYPE}"
     figure, axes = sheet(scene, 9, heading, caption, columns=3)
-    law = PointSpread.calibrated(scene.focal_px)
+    law = PointSpread.calibrated()
     paper = Medium.from_water(_COASTAL_TYPE)
     calibrated = Medium.from_water(_COASTAL_TYPE, g=constants.g, point_spread=law)
-    height, width = scene.image.shape[-2:]
     radius = plot(axes[6], "Half of the scattered light is within", "distance [m]", "radius [px]")
     z = torch.linspace(0.05, 8, 160, dtype=torch.float64)
     columns: list[tuple[str, Tensor]] = [("No water", scene.image)]
@@ -205,11 +205,14 @@ def draw_width_laws(scene: Scene) -> "Figure":
         (axes[7], "Paper's law", paper, RGB[2]),
         (axes[8], "Calibrated law", calibrated, RGB[0]),
     ):
-        columns.append((label, Underwater(medium, None)(scene.image, scene.distance)))
-        forward = form_image(decoded(scene.image, "srgb"), scene.distance, medium).forward
+        columns.append(
+            (label, Underwater(medium, None, view=scene.view)(scene.image, scene.distance))
+        )
+        light = decoded(scene.image, "srgb")
+        forward = form_image(light, scene.distance, medium, view=scene.view).forward
         show(axis, linear_to_srgb(forward), f"{label}, forward scatter alone")
-        sigma = medium.width(z[None, None, None], (height, width)).flatten()
-        half = _HALF_LIGHT_RADIUS[medium.point_spread.shape] * sigma
+        sigma = medium.in_pixels((height, width), scene.view).width(z[None, None, None]).flatten()
+        half = _HALF_LIGHT_RADIUS[medium.law.shape] * sigma
         radius.plot(z.numpy(), half.numpy(), color=colour, label=label, linewidth=2)
     low, high = extent(scene.distance)
     radius.axvspan(low, high, color="black", alpha=0.07, linewidth=0, label="this scene")

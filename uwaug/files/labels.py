@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 from uwaug._support.atomic import written_whole
-from uwaug.files.paths import PICTURES
+from uwaug.files.paths import PICTURES, Files
 from uwaug.files.record import digest
 
 if TYPE_CHECKING:
@@ -67,11 +67,6 @@ class Labels:
         """
         raise NotImplementedError
 
-    @property
-    def shared(self) -> tuple[str, ...]:
-        """Patterns of the files of all pictures together, in the folder of the run."""
-        return ()
-
     def only(self, name: str) -> Self:
         """Labels of one picture, small enough to be sent to another process."""
         return replace(self, of={name: self.of[name]} if name in self.of else {})
@@ -99,11 +94,11 @@ class Labels:
     def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
         """Write the labels of one picture to the folder of the run, without the dropped ones."""
 
-    def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
-        """Write files for all pictures together, if the format has such; with `force` also over
-        those that people edit. Returns notes.
+    def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
+        """Files of all pictures together, if the format has such, by their names in the folder of
+        the run; and notes.
         """
-        return []
+        return {}, []
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,11 +118,12 @@ class Folder(Labels):
 
     @classmethod
     def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
-        of = {}
+        of, files = {}, Files()
         for item in items:
-            picture, names = os.path.realpath(item.picture), aliases(item.name, *cls.folders)
-            files = [(path / name).with_suffix(cls.end) for name in names]
-            file = next((f for f in files if f.is_file() and os.path.realpath(f) != picture), None)
+            stems = (os.path.splitext(name)[0] for name in aliases(item.name, *cls.folders))
+            candidates = filter(None, (files.at(path / stem, cls.ends()) for stem in stems))
+            picture = os.path.realpath(item.picture)
+            file = next((f for f in candidates if os.path.realpath(f) != picture), None)
             if file is not None:
                 of[item.name] = file
         if not of:
@@ -142,6 +138,11 @@ class Folder(Labels):
                 samples.remove(file)
                 reasons.append(str(error))
         return cls(path, of).described(samples) if samples else reasons[0]
+
+    @classmethod
+    def ends(cls) -> tuple[str, ...]:
+        """Ends of the names of files that are read, the likeliest first."""
+        return (cls.end,)
 
     @staticmethod
     def require(file: Path) -> None:

@@ -14,7 +14,6 @@ from uwaug.distance.sources import Metres
 from uwaug.files.items import Item, there
 from uwaug.files.pictures import Picture, metres_of, open_picture, read_distance, write_picture
 from uwaug.formation.colour import linear_to_srgb
-from uwaug.optics.point_spread import FOCAL_LENGTH
 from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
 
@@ -116,7 +115,7 @@ class Recipe:
             wanted = "three numbers, m, or px as in 12px"
             raise ValueError(f"motion must be {wanted}, got {self.motion!r}") from None
         is_open = median >= checks.OPEN  # where nothing seems to move
-        return 0.0 if is_open else px * median / (FOCAL_LENGTH * width), 0.0, 0.0
+        return 0.0 if is_open else px * median / self.transform.view.focal(width), 0.0, 0.0
 
     @cached_property
     def _in_light(self) -> RandomUnderwater:

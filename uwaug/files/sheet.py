@@ -1,5 +1,6 @@
 """A sheet of pictures before and after a run."""
 
+import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -8,9 +9,7 @@ import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from uwaug._support.atomic import written_whole
 from uwaug.files.pictures import read_picture
-from uwaug.files.record import SHEET_COMMENT
 
 _MAX_PICTURES, _MAX_VARIANTS = 12, 5  # pictures, spread over a run, and variants of each
 _MAX_COLUMNS = 6  # pictures side by side, before and after
@@ -18,18 +17,16 @@ _WIDTH_PX, _HEIGHT_PX = 240, 180  # of a picture
 _LINE_PX, _GAP_PX = 16, 4  # height of a line of text, and the gap between two labels
 
 
-def write_sheet(
-    path: Path,
+def drawn_sheet(
     variants: Sequence[tuple[Path, Sequence[Path]]],
     read: Callable[[Path], Tensor],
     caption: Callable[[Path], str],
     beside: Sequence[Path] = (),
-) -> None:
-    """Draw pictures, each with its variants to the right, and names and captions below; then
-    photographs for comparison.
+) -> bytes:
+    """A JPEG of pictures, each with its variants to the right, and names and captions below; then
+    of photographs for comparison.
 
     Args:
-        path: file of the sheet.
         variants: the file of each picture, with the files of its variants.
         read: function that gives the picture (3xHxW) of a variant's file.
         caption: function that gives its caption, two lines at most.
@@ -57,8 +54,9 @@ def write_sheet(
             sheet.paste(_small(picture), (x, y))
             sheet.paste(_label(file.name, words), (x, y + _HEIGHT_PX))
             x += _WIDTH_PX
-    with written_whole(path) as part:
-        sheet.save(part, "JPEG", quality=90, comment=SHEET_COMMENT)
+    file = io.BytesIO()
+    sheet.save(file, "JPEG", quality=90)
+    return file.getvalue()
 
 
 def _label(*lines: str) -> Image.Image:

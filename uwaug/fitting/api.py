@@ -22,8 +22,9 @@ from uwaug.fitting.choose import (
 from uwaug.fitting.data import Geometry, Pictures
 from uwaug.fitting.encoded import encoded_haze_notes
 from uwaug.fitting.model import COLOURS, EXPONENTS, MODELS, NARROW_PX, CoefficientModel
-from uwaug.fitting.result import Fit, Parameter, straight_line
+from uwaug.fitting.result import Fit, Parameter
 from uwaug.fitting.solve import Objective, multistart, reweighed, roughly_weighed, solve
+from uwaug.fitting.words import straight_line
 
 Progress = Callable[[str], None]
 _PIXEL_COUNTS = (500, 100_000)  # least and most pixels of a fit
@@ -57,18 +58,16 @@ def fit(
         distance (1xHxW or Bx1xHxW tensor): metres along the ray; pixels that are NaN, 0 or
             negative do not count; +inf is open water.
         model: "haze" (direct light and veil, one coefficient), "veil" (a coefficient for each), or
-            "gaussian" and "exponential" (forward scatter with a width law, too). "auto" tries all
-            and takes the one with the fewest numbers that predicts left-out blocks of the picture
-            as well as any (one-standard-error rule). Where the short side has four pixels or less,
-            as a table of a chart's patches by distance has, it tries "haze" and "veil".
+            "gaussian" and "exponential" (forward scatter with a width law, too). "auto": the one
+            with the fewest numbers that predicts left-out blocks of the picture as well as any; of
+            "haze" and "veil" alone where the short side has four pixels or less.
         fixed: known numbers by their names in `Fit.parameters`, such as {"G_red": .3}: beta, G and
             veil of a colour, width, exponent.
         gain: "free": each colour gets a factor for exposure, white balance and daylight lost above
-            the scene, if left-out pixels are predicted better with it. It is part of the light and
-            the veil of `Fit.medium`. "fixed": these are the same as in the clean picture.
+            the scene, if left-out pixels are predicted better with it. "fixed": these are the same
+            as in the clean picture.
         color_space: "srgb": values are decoded to linear light. "linear": values are taken as they
-            are, be they linear light or a haze composed in encoded values, as most published
-            synthesisers do. A fit of "srgb" says so where such a haze fits better.
+            are, light or a haze composed in encoded values.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
         seed: seed of the choice of pixels and of random starts.
         progress: True: print on stderr what a fit that takes longer than a second is doing; False:
@@ -125,13 +124,13 @@ def fit(
             solution = multistart(objective, [winner.numbers], seed)
             candidates.append(cross_validated(objective, solution, seed))
             winner = one_standard_error_rule([winner, candidates[-1]])
-        encoded_notes = []
+        first = _model_notes(winner, candidates)
         if color_space == "srgb":
             say("trying encoded values")
-            encoded_notes = encoded_haze_notes(winner, gain == "free", seed)
-        medium = winner.model.medium(winner.solution.theta)
-        result = result_of(winner, candidates, winner.model.spec.name, medium, pictures)
-    first = (*_model_notes(winner, candidates), *encoded_notes)
+            first += encoded_haze_notes(winner, gain == "free", seed)
+        best = winner.model
+        medium = best.medium(best.coefficients(winner.solution.theta))
+        result = result_of(winner, candidates, best.spec.name, medium, pictures)
     return replace(result, notes=(*first, *result.notes, *_doubts(winner, result.parameters)))
 
 
@@ -156,12 +155,10 @@ def _models(
     """The models of a name, or all for "auto", that have a place for every fixed number."""
     if not isinstance(fixed, Mapping):
         raise TypeError(f"fixed must be a dict of numbers, got {type(fixed).__name__}")
-    candidates = [
-        CoefficientModel(spec, geometry, gain, {})
-        for spec in MODELS.values()
-        if name == spec.name
-        or (name == "auto" and (spec.shape is None or geometry.widest > NARROW_PX))
-    ]
+    specs = [MODELS[name]] if name in MODELS else list(MODELS.values())
+    if name == "auto" and geometry.widest <= NARROW_PX:
+        specs = [spec for spec in specs if spec.shape is None]
+    candidates = [CoefficientModel(spec, geometry, gain, {}) for spec in specs]
     models = [x for x in candidates if set(fixed) <= set(x.fixable)]
     if not models:
         names = ", ".join(candidates[-1].fixable)
@@ -185,13 +182,11 @@ def _model_notes(
     winner: FittedModel[CoefficientModel], candidates: Sequence[FittedModel[CoefficientModel]]
 ) -> list[str]:
     """Sentences on the model that was chosen, and on how well it explains the pictures."""
-    best, reason = best_of(candidates), ""
-    if len(candidates) > 1:
+    best, reason, warning = best_of(candidates), "", ""
+    if best is not winner:
+        reason = f" The fewest numbers within one standard error of the best, {best.model.name!r}."
+    elif len(candidates) > 1:
         reason = " It foretells left-out pixels best."
-        if best is not winner:
-            name = best.model.name
-            reason = f" The fewest numbers within one standard error of the best, {name!r}."
-    warning = ""
     if winner.explained < _POOR_SHARE:
         warning = " That is little: are the pictures aligned, of one scene, and in metres?"
     return [
@@ -208,8 +203,7 @@ def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
     if model.spec.shape is None:
         sentences.append(
             "Without a blur, direct light and light that is scattered forward are one: beta is the "
-            "attenuation of both together, and G at least; that of the direct light alone, β of "
-            "the water, may be larger."
+            "attenuation of both; that of the direct light alone, β of the water, may be larger."
         )
     elif c.width < NARROW_PX:
         sentences.append(
@@ -217,13 +211,10 @@ def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
             "forward from what is not; G and veil do not depend on it."
         )
     else:
-        sentences.append(f"Width law: {model.medium(theta).point_spread}, at b̄ of the medium.")
-    rates = {
-        colour: float(G)
-        for colour, G in zip(COLOURS, c.G, strict=True)
-        if numbers[f"veil_{colour}"].value is None
-    }
-    sentences += straight_line(rates, geometry.farthest)
+        sentences.append(f"Width law: {model.medium(c).width_law}, at b̄ of the medium.")
+    rates = dict(zip(COLOURS, c.G.tolist(), strict=True))
+    endless = {colour: G for colour, G in rates.items() if numbers[f"veil_{colour}"].value is None}
+    sentences += straight_line(endless, geometry.farthest)
     if c.beta.max() > _MAX_BETA:
         sentences.append(f"β reaches {c.beta.max():.3g}/m: are the distances in metres?")
     if not winner.solution.converged:

@@ -13,8 +13,9 @@ import torch
 from uwaug._support.types import Array
 from uwaug.fitting.data import Pictures
 from uwaug.fitting.errors import covariance_of, parameters, remainder
-from uwaug.fitting.result import Candidate, Fit, left_over, unknown
+from uwaug.fitting.result import Candidate, Fit
 from uwaug.fitting.solve import M, Objective, Solution, loss, solve
+from uwaug.fitting.words import left_over, unknown
 from uwaug.optics.medium import Medium
 
 _FOLDS = 5

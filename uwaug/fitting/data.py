@@ -6,7 +6,7 @@ Any width law is a mixture of these blurs. They do not depend on the water, so t
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -41,13 +41,8 @@ _NEAR_QUANTILE, _FAR_QUANTILE = 0.05, 0.95  # of the finite distances: the ends 
 @plain
 @dataclass(frozen=True)
 class Geometry:
-    """Distances and sizes of the pictures of a fit.
-
-    Attributes:
-        nearest, reference, farthest: quantiles of the distances at 5, 50 and 95 %, m; width laws
-            refer to the median.
-        size: height and width, px.
-        widest: largest width of a blur, px.
+    """Quantiles of the distances at 5, 50 and 95 %, m (width laws refer to the median); height and
+    width, px; largest width of a blur, px.
     """
 
     nearest: float
@@ -82,17 +77,14 @@ class Pictures:
     def of(
         clean: Tensor | None, observed: Tensor, distance: Tensor, color_space: ColorSpace
     ) -> "Pictures":
-        """Check the input of a fit; arguments and errors are those of `uwaug.fit`. `clean` is None
-        where there is no clean picture.
-        """
+        """Check the input of a fit; arguments and errors are those of `uwaug.fit`."""
         checks.one_of("color_space", color_space, get_args(ColorSpace))
         tensors = {"observed": observed, "distance": distance}
         if clean is not None:
             tensors["clean"] = clean
         for name, tensor in tensors.items():
-            if not (
-                name != "distance" and isinstance(tensor, Tensor) and tensor.dtype == torch.uint8
-            ):
+            is_bytes = isinstance(tensor, Tensor) and tensor.dtype == torch.uint8
+            if name == "distance" or not is_bytes:
                 checks.floating(name, tensor)
             checks.picture(name, tensor, 1 if name == "distance" else 3)
             if tensor.shape[-2:] != observed.shape[-2:]:
@@ -116,10 +108,8 @@ class Pictures:
             usable = usable & unclipped[:, None]
         count = max(len(wet), len(z), len(dry))
         z = torch.where(z >= checks.OPEN, FARTHEST, torch.where(z > 0, z, 1.0))
-        z = z.expand(count, -1, -1, -1)
-        pictures = Pictures(
-            dry, wet.expand(count, -1, -1, -1), z, usable.expand_as(z), color_space, clips
-        )
+        wet, z, usable = (x.expand(count, -1, -1, -1) for x in (wet, z, usable))
+        pictures = Pictures(dry, wet, z, usable, color_space, clips)
         pictures._require_usable()
         return pictures
 
@@ -170,8 +160,8 @@ class Pictures:
         )
 
     def _require_usable(self) -> None:
-        """Refuse pictures with too few usable pixels, and distances that are all alike: attenuation
-        shows only between distances.
+        """Refuse too few usable pixels, and distances that are all alike: attenuation shows only
+        between distances.
         """
         usable = int(self.finite.sum())
         if usable < _MIN_PIXELS:
@@ -192,11 +182,20 @@ class Pictures:
             raise ValueError(f"distance is flat: all pixels lie at {low:.4g}–{high:.4g} m; {cure}")
 
 
-class Stack(NamedTuple):
+class Stack:
     """Blurs of the clean pixels (1x3x1xN each) for a shape of point spread, and their plan."""
 
-    plan: BlurPlan
-    blurs: list[Tensor]
+    def __init__(self, plan: BlurPlan, blurs: list[Tensor]) -> None:
+        self.plan, self.blurs = plan, blurs
+        self._sigma, self._soft = torch.empty(0), torch.empty(0)
+
+    def softened(self, sigma: Tensor) -> Tensor:
+        """The clean pixels (1x3x1xN), each blurred by a width `sigma` (1x1x1xN, px). The last is
+        remembered, as most steps of a fit leave the widths alone.
+        """
+        if not torch.equal(sigma, self._sigma):
+            self._sigma, self._soft = sigma, mixed(self.blurs, node_weights(sigma, self.plan))
+        return self._soft
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,11 +224,6 @@ class Pixels:
         """Number of the block of each of the 3·N values."""
         return np.tile(self.blocks, 3)
 
-    def softened(self, shape: Shape, sigma: Tensor) -> Tensor:
-        """The clean pixels (1x3x1xN), each blurred by a width `sigma` (1x1x1xN, px)."""
-        plan, blurs = self.stacks[shape]
-        return mixed(blurs, node_weights(sigma, plan))
-
     def subsample(self, count: int, seed: "int | np.random.Generator") -> "Pixels":
         """A random `count` of the pixels; all if there are no more."""
         n = self.z.shape[-1]
@@ -239,8 +233,8 @@ class Pixels:
         names = ("clean", "observed", "z", "weights", "blocks")
         values: dict[str, Any] = {name: getattr(self, name)[..., places] for name in names}
         stacks = {
-            shape: Stack(plan, [blur[..., places] for blur in blurs])
-            for shape, (plan, blurs) in self.stacks.items()
+            shape: Stack(stack.plan, [blur[..., places] for blur in stack.blurs])
+            for shape, stack in self.stacks.items()
         }
         return replace(self, **values, stacks=stacks)
 

@@ -22,9 +22,10 @@ from uwaug.fitting.solve import Objective, loss, reweighed, roughly_weighed, sol
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
+from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.surfaces import Surfaces
+from uwaug.optics.view import WIDE, View
 from uwaug.optics.water import Water
 
 _VISIBLE_CONTRAST = 0.02  # share of the contrast that is left at the visibility
@@ -34,7 +35,6 @@ _START_DEPTHS = (0.5, 3.0, 10.0)  # vertical depths, m
 _MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
 # Multiples of a type's contents, from pure water to clear types within the tables' error.
 _MIN_CONTENTS, _MAX_CONTENTS = 1e-3, 1e3
-_THETA_STEP = 1e-5  # of a difference quotient
 _RESULT_TOLERANCE = 0.002  # of the medium of a result
 # Linear light. Media and blurs of the default tolerance are off by .0007 RMS, and half of a step
 # of 8 bits is .002: of each colour about so much is alike everywhere.
@@ -43,15 +43,8 @@ _OFFSET = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class TypeModel(Model):
-    """A scene in a Jerlov type with contents multiplied by a factor.
-
-    θ holds the logarithms of contents and gain, and the vertical depth [m].
-
-    Attributes:
-        water: the type.
-        camera, surfaces, g, point_spread: as of `fit_water`.
-        depth: vertical depth, m; None if it is fitted.
-        geometry: distances and sizes of the pictures.
+    """A scene in a Jerlov type with contents multiplied by a factor. θ holds the logarithms of
+    contents and gain, and the vertical depth [m].
     """
 
     water: Water
@@ -59,7 +52,8 @@ class TypeModel(Model):
     surfaces: Surfaces
     g: float
     point_spread: PointSpread
-    depth: float | None
+    view: View
+    depth: float | None  # m; None if it is fitted
     geometry: Geometry
     offset: float = _OFFSET
 
@@ -70,7 +64,7 @@ class TypeModel(Model):
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
-        """Bounds of each fitted number, by name, in the order of θ."""
+        """As of `Model`."""
         invisible = math.exp(-MAX_OPTICAL_DEPTH)
         opaque = max(self.water.contents_for(invisible, self.geometry.reference), 1.0)
         low, high = math.log(_MIN_CONTENTS), math.log(min(opaque, _MAX_CONTENTS))
@@ -80,11 +74,11 @@ class TypeModel(Model):
         return bounds | {"gain": Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)}
 
     def numbers(self, theta: Array) -> dict[str, float]:
-        """Contents, vertical depth and gain."""
+        """Contents, vertical depth [m] and gain."""
         numbers = dict(zip(self.bounds, theta.tolist(), strict=True))
-        depth = numbers.get("vertical_depth", self.depth) or 0.0
+        depth = max(numbers.get("vertical_depth", self.depth) or 0.0, 0.0)
         factors = {name: math.exp(numbers[name]) for name in ("contents", "gain")}
-        return {**factors, "vertical_depth": max(depth, 0.0)}
+        return {**factors, "vertical_depth": depth}
 
     def water_of(self, theta: Array) -> Water:
         """The type with these contents."""
@@ -108,23 +102,9 @@ class TypeModel(Model):
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""
-        medium = self.medium(theta)
-        soft = pixels.softened(self.point_spread.shape, medium.width(pixels.z, pixels.size))
+        medium = self.medium(theta).in_pixels(pixels.size, self.view)
+        soft = pixels.stacks[self.point_spread.shape].softened(medium.width(pixels.z))
         return medium.image(pixels.z, pixels.clean, soft)
-
-    def slopes(self, theta: Array, pixels: Pixels) -> Array:
-        """Derivatives of the 3·N values by θ (3·N x numbers), by differences."""
-        light, columns = self.render(theta, pixels), []
-        for i, (name, bound) in enumerate(self.bounds.items()):
-            if name == "gain":  # a logarithm
-                columns.append(light)
-                continue
-            step = _THETA_STEP if theta[i] + _THETA_STEP <= bound.high else -_THETA_STEP
-            neighbour = theta.copy()
-            neighbour[i] += step
-            difference = self.render(neighbour, pixels) - light
-            columns.append(difference / (neighbour[i] - theta[i]))
-        return torch.stack(columns, -1).reshape(-1, len(columns)).numpy()
 
     @property
     def quantities(self) -> list[Quantity]:
@@ -137,16 +117,14 @@ class TypeModel(Model):
         ]
 
     def report(self, theta: Array) -> Array:
-        """Value of each of `quantities`."""
+        """As of `Model`."""
         numbers = self.numbers(theta) | self.shown(theta)
         return np.array([numbers[quantity.name] for quantity in self.quantities])
 
     def shown(self, theta: Array) -> dict[str, float]:
         """Visibility and vertical depth, m."""
-        return {
-            "visibility": self.water_of(theta).visibility(),
-            "vertical_depth": self.numbers(theta)["vertical_depth"],
-        }
+        depth = self.numbers(theta)["vertical_depth"]
+        return {"visibility": self.water_of(theta).visibility(), "vertical_depth": depth}
 
 
 def fit_water(
@@ -159,6 +137,7 @@ def fit_water(
     vertical_depth: float | None = None,
     g: float = Scattering.CALIBRATED.g,
     point_spread: PointSpread | None = None,
+    view: View | float = WIDE,
     color_space: ColorSpace = "srgb",
     pixels: int = 5000,
     seed: int = 0,
@@ -166,28 +145,26 @@ def fit_water(
 ) -> Fit:
     """Find the Jerlov type of a scene's water, its contents and its vertical depth.
 
-    Contents, vertical depth and exposure are fitted for each of the ten types, by spectra of water
-    and camera through `Medium.from_water`. The type with the smallest residual is taken, and named
-    only if what it leaves is noise. Defaults are those of `uwaug.RandomUnderwater`.
+    All ten types are fitted, by spectra of water and camera; the one with the smallest residual is
+    named if what it leaves is noise. Defaults are those of `uwaug.RandomUnderwater`.
 
     Args:
         clean, observed, distance, color_space, seed, progress: as of `uwaug.fit`.
         camera: as of `Medium.from_water`. A wrong one gives a wrong water.
-        surfaces: "spectral" or "grey", as of `Medium.from_water`; "auto" tries both, and keeps
-            what explains the picture better.
+        surfaces: "spectral" or "grey", as of `Medium.from_water`; "auto": what explains the
+            picture better.
         vertical_depth: depth of the scene below the surface, m; None: it is fitted, 0…30 m.
-        g: share of the scattered light that leaves the line of sight; μ is 1.5·g. One picture does
-            not tell it from the water.
-        point_spread: width law; None: `PointSpread.calibrated` of a view 60° wide, whose focal
-            length is .866 of the width. Pictures by the paper's model need `PointSpread.paper()`,
-            g = .2 and grey surfaces.
+        g: as of `Medium.from_water`; one picture does not tell it from the water.
+        point_spread: width law; None: `PointSpread.calibrated`. Pictures by the paper's model need
+            `PointSpread.paper()`, g = .2 and grey surfaces.
+        view: of the camera, a `uwaug.View` or its angle in degrees, which the width of the blur
+            follows. Of another angle than the picture's, no type may explain it.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
 
     Returns:
-        The fit: its `model` is the type, or "no Jerlov type" if the best one leaves more than
-        noise; its `water`, of the best type, goes into `uwaug.RandomUnderwater`. Numbers are
-        visibility [m], contents (the factor of `Water.with_contents`), vertical depth [m] and gain
-        (exposure). Candidates are the ten types, with each kind of surfaces.
+        The fit: its `model` is the type, or "no Jerlov type"; its `water`, of the best type, goes
+        into `uwaug.RandomUnderwater`. Numbers are visibility [m], contents (the factor of
+        `Water.with_contents`), vertical depth [m] and gain (exposure).
 
     Raises:
         TypeError, ValueError: as `uwaug.fit`; if too few pixels lie above the noise.
@@ -199,7 +176,7 @@ def fit_water(
         >>> clean, z = torch.rand(3, 60, 80), torch.linspace(1, 6, 4800).reshape(1, 60, 80)
         >>> water = uwaug.Medium.from_water("5C", g=0.05, surfaces="spectral")
         >>> observed = uwaug.Underwater(water)(clean, z)
-        >>> options = {"point_spread": water.point_spread, "pixels": 500, "progress": False}
+        >>> options = {"point_spread": uwaug.PointSpread.paper(), "pixels": 500, "progress": False}
         >>> uwaug.fitting.fit_water(clean, observed, z, **options).model
         '5C'
     """
@@ -211,12 +188,11 @@ def fit_water(
         checks.within("vertical_depth", vertical_depth, *checks.DOMAIN["vertical_depth"])
     pictures = Pictures.of(clean, observed, distance, color_space)
     geometry = pictures.geometry
-    law = point_spread
-    if law is None:
-        law = PointSpread.calibrated(FOCAL_LENGTH * geometry.size[1])
+    law = PointSpread.calibrated() if point_spread is None else point_spread
+    view = View.of(view)
     checks.instance("point_spread", law, PointSpread)
     models = [
-        TypeModel(Water.jerlov(name), camera, kind, g, law, vertical_depth, geometry)
+        TypeModel(Water.jerlov(name), camera, kind, g, law, view, vertical_depth, geometry)
         for kind in (get_args(Surfaces) if surfaces == "auto" else (surfaces,))
         for name in JERLOV_TYPES
     ]
@@ -237,9 +213,8 @@ def fit_water(
         for model, end in scouts:
             say(f"fitting {model.name}")
             objective = Objective(model, weighed)
-            solution = solve(objective, end.theta)
-            losses = block_losses(objective, solution.theta)
-            candidates.append(FittedModel(objective, solution, losses))
+            end = solve(objective, end.theta)
+            candidates.append(FittedModel(objective, end, block_losses(objective, end.theta)))
         candidates.sort(key=lambda candidate: candidate.loss)
         winner = candidates[0]
         model, theta = winner.model, winner.solution.theta

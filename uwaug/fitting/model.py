@@ -1,28 +1,22 @@
-"""Pictures as functions of a few numbers θ, coefficients for each colour, and their slopes.
-
-    I = light·(T_β·(J − soft) + T_G·soft) + source·(1 − e^(−Gz))/G
-
-with T_β = e^(−βz), T_G = e^(−Gz), soft = J blurred with σ = width·(z/reference)^exponent, and
-source = G·V(0), the growth of the veil at the lens. Pictures are rendered by `Medium`, as any other
-image is; slopes are written out.
+"""Pictures as functions of a few numbers θ: coefficients of each colour and a width law. The
+equation is that of `Medium.image` alone; slopes are its differences.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from uwaug._support.types import Array, Shape
-from uwaug.blur.stack import mixed, node_slopes, node_weights
 from uwaug.fitting.data import Geometry, Pixels
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.point_spread import Law, PointSpread
 from uwaug.optics.scattering import Scattering
+from uwaug.optics.view import WIDE
 
 COLOURS = ("red", "green", "blue")
 MAX_OPTICAL_DEPTH = 40.0  # to the median distance: more than any picture survives
@@ -35,8 +29,7 @@ EXPONENTS = (0.2, 3.0)  # least and largest exponent of a width law
 _MAX_G_OVER_BETA = 4.0  # without forward scatter, where nothing ties the two together
 _MIN_G = 1e-9  # 1/m; takes the place of smaller G, where the veil has no end
 _MIN_LENGTHS = 1e-2  # scattering lengths to the median distance, in a width law
-_MIN_WIDTH_PX = 1e-9  # takes the place of smaller widths, by which slopes are divided
-_REPORT_STEP = 1e-5  # step of θ, relative, of a difference quotient
+_STEP = 1e-7  # of a difference quotient, in units of where a fit may begin
 
 
 class Bounds(NamedTuple):
@@ -48,18 +41,12 @@ class Bounds(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A reported quantity.
-
-    Attributes:
-        name, unit: its name and unit.
-        resolution: smallest change that shows in the picture.
-        follows: name of the number of θ; where that is at a bound, the quantity is, too.
-    """
+    """A reported quantity."""
 
     name: str
     unit: str
-    resolution: float
-    follows: str
+    resolution: float  # smallest change that shows in the picture
+    follows: str  # name of the number of θ; where that is at a bound, the quantity is, too
 
 
 class Model(Protocol):
@@ -86,9 +73,6 @@ class Model(Protocol):
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""
 
-    def slopes(self, theta: Array, pixels: Pixels) -> Array:
-        """Derivatives of the 3·N values by θ (3·N x numbers)."""
-
     def report(self, theta: Array) -> Array:
         """Value of each of `quantities`."""
 
@@ -100,33 +84,54 @@ class Model(Protocol):
         """Values for a table of candidates, by name."""
         return {}
 
+    def slopes(self, theta: Array, pixels: Pixels) -> Array:
+        """Derivatives of the 3·N values by θ (3·N x numbers), by differences. A number of one
+        colour moves no other, so those of three colours are moved at once.
+        """
+        light = self.render(theta, pixels)[0, :, 0]
+        jacobian = np.zeros((*light.shape, len(theta)))
+        moves: dict[str, dict[int, slice]] = {}
+        for i, name in enumerate(self.bounds):
+            kind, _, colour = name.rpartition("_")
+            if colour in COLOURS:
+                c = COLOURS.index(colour)
+                moves.setdefault(kind, {})[i] = slice(c, c + 1)
+            else:
+                moves[name] = {i: slice(3)}
+        neighbour = neighbours(self, theta)
+        for columns in moves.values():
+            moved = theta.copy()
+            moved[[*columns]] = neighbour[[*columns]]
+            difference = self.render(moved, pixels)[0, :, 0] - light
+            for i, rows in columns.items():
+                jacobian[rows, :, i] = difference[rows] / (moved[i] - theta[i])
+        return jacobian.reshape(-1, len(theta))
+
+
+def neighbours(model: Model, theta: Array) -> Array:
+    """Values inside the bounds, a step of a difference quotient away from θ."""
+    _, high, begin = np.array([*model.bounds.values()]).T
+    step = _STEP * np.where(begin == 0, 1.0, np.abs(begin))
+    return np.asarray(np.where(theta + step <= high, theta + step, theta - step))
+
 
 def report_slopes(model: Model, theta: Array) -> Array:
     """Derivatives of the reported values by θ (quantities x numbers), by differences."""
-    columns = []
-    for i, bound in enumerate(model.bounds.values()):
-        step = _REPORT_STEP * max(abs(theta[i]), abs(bound.begin), 0.01)
-        up, down = theta.copy(), theta.copy()
-        up[i], down[i] = min(theta[i] + step, bound.high), max(theta[i] - step, bound.low)
-        columns.append((model.report(up) - model.report(down)) / (up[i] - down[i]))
+    columns, values = [], model.report(theta)
+    for i, value in enumerate(neighbours(model, theta)):
+        moved = theta.copy()
+        moved[i] = value
+        columns.append((model.report(moved) - values) / (value - theta[i]))
     return np.array(columns).T
 
 
 class ModelSpec(NamedTuple):
-    """A model of `uwaug.fit`.
-
-    Attributes:
-        name: its name.
-        separate_veil: True if the veil has a coefficient G, False if it has that of direct light.
-        shape: shape of the point spread, whose law has a width and an exponent; None without
-            forward scatter.
-        words: the terms of the model, in words.
-    """
+    """A model of `uwaug.fit`."""
 
     name: str
-    separate_veil: bool
-    shape: Shape | None
-    words: str
+    separate_veil: bool  # True if the veil has a coefficient of its own, G
+    shape: Shape | None  # of the point spread; None without forward scatter
+    words: str  # the terms of the model
 
 
 _SPECS = (
@@ -139,66 +144,14 @@ MODELS = {spec.name: spec for spec in _SPECS}  # from the fewest numbers to the 
 
 
 class Coefficients(NamedTuple):
-    """Coefficients of a picture; 3 numbers each, but for the width law.
+    """Coefficients of a picture; 3 numbers each, but for the width law."""
 
-    Attributes:
-        beta: attenuation of the direct light, 1/m.
-        G: attenuation of signal and veil, 1/m.
-        source: growth of the veil at the lens, G·V(0), 1/m; all that shows of the veil where G is
-            small.
-        light: light of a white surface in front of the lens: daylight, exposure and white balance
-            together.
-        width: σ at the reference distance, px.
-        exponent: exponent of the width law.
-    """
-
-    beta: Array
-    G: Array
-    source: Array
-    light: Array
-    width: float
-    exponent: float
-
-
-def picture_slopes(
-    c: Coefficients, pixels: Pixels, shape: Shape | None, reference: float
-) -> dict[str, Tensor]:
-    """Derivatives of the picture (1x3x1xN) by each of the `Coefficients`; colours do not mix."""
-    beta, G, source, light = (torch.from_numpy(x).reshape(1, 3, 1, 1) for x in c[:4])
-    z = pixels.z
-    direct, signal = torch.exp(-beta * z), torch.exp(-G * z)
-    soft = by_width = by_exponent = torch.zeros_like(pixels.clean)
-    if shape is not None:
-        sigma = c.width * (z / reference) ** c.exponent
-        plan, blurs = pixels.stacks[shape]
-        soft = mixed(blurs, node_weights(sigma, plan))
-        by_log = light * (signal - direct) * mixed(blurs, node_slopes(sigma, plan)) * sigma
-        by_width = by_log / max(c.width, _MIN_WIDTH_PX)
-        by_exponent = by_log * (z / reference).log()
-    sharp = direct * (pixels.clean - soft)
-    return {
-        "beta": -z * light * sharp,
-        "G": -z * light * signal * soft - source * z * z * _growth_slope(G * z),
-        "source": z * _growth(G * z),
-        "light": sharp + signal * soft,
-        "width": by_width,
-        "exponent": by_exponent,
-    }
-
-
-def _growth(x: Tensor) -> Tensor:
-    """(1 − e^−x)/x."""
-    small = x < 1e-4
-    safe = torch.where(small, 1.0, x)
-    return torch.where(small, 1 - x / 2, -torch.expm1(-safe) / safe)
-
-
-def _growth_slope(x: Tensor) -> Tensor:
-    """(1 − e^−x·(1 + x))/x², the derivative of −(1 − e^−x)/x."""
-    small = x < 1e-2
-    safe = torch.where(small, 1.0, x)
-    series = 0.5 - x / 3 + x * x / 8 - x**3 / 30 + x**4 / 144
-    return torch.where(small, series, (1 - torch.exp(-safe) * (1 + safe)) / (safe * safe))
+    beta: Array  # attenuation of the direct light, 1/m
+    G: Array  # attenuation of signal and veil, 1/m
+    source: Array  # growth of the veil at the lens, G·V(0), 1/m; all that shows of a straight one
+    light: Array  # of a white surface at the lens: daylight, exposure and white balance together
+    width: float  # σ at the reference distance, px
+    exponent: float  # of the width law
 
 
 @dataclass(frozen=True)
@@ -228,9 +181,8 @@ class CoefficientModel(Model):
     @property
     def fixable(self) -> tuple[str, ...]:
         """Names of the numbers that may be fixed."""
-        kinds = ("beta", "G", "veil") if self.spec.separate_veil else ("beta", "veil")
-        names = [f"{kind}_{colour}" for kind in kinds for colour in COLOURS]
-        return (*names, *(("width", "exponent") if self.spec.shape else ()))
+        names = (quantity.name for quantity in self.quantities)
+        return tuple(name for name in names if not name.startswith(("source", "gain")))
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
@@ -243,93 +195,74 @@ class CoefficientModel(Model):
             low = self.fixed.get(f"G_{colour}", 0.0) if scatters else 0.0
             high, begin = max(opaque, 2 * low), max(1 / reference, low)
             bounds[f"beta_{colour}"] = Bounds(low, high, begin)
+        others = {}
         if self.spec.separate_veil:
-            share = Bounds(0.0, 1.0 if scatters else _MAX_G_OVER_BETA, 0.5)
-            bounds |= {f"share_{colour}": share for colour in COLOURS}
-        source = Bounds(0.0, opaque, 0.2 / reference)
-        bounds |= {f"source_{colour}": source for colour in COLOURS}
+            others["share"] = Bounds(0.0, 1.0 if scatters else _MAX_G_OVER_BETA, 0.5)
+        others["source"] = Bounds(0.0, opaque, 0.2 / reference)
         if self.gain:
-            light = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
-            bounds |= {f"light_{colour}": light for colour in COLOURS}
+            others["light"] = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
+        bounds |= {f"{kind}_{colour}": x for kind, x in others.items() for colour in COLOURS}
         if scatters:
             bounds["width"] = Bounds(0.0, widest, 0.1 * widest)
             bounds["exponent"] = Bounds(*EXPONENTS, 1.0)
         kind_in_theta = {"G": "share", "veil": "source"}
         for name in self.fixed:
-            kind, _, colour = name.partition("_")
-            del bounds["_".join(filter(None, (kind_in_theta.get(kind, kind), colour)))]
+            kind, *suffix = name.split("_")
+            del bounds["_".join((kind_in_theta.get(kind, kind), *suffix))]
         return bounds
 
     def coefficients(self, theta: Array) -> Coefficients:
         """Coefficients of the picture at θ."""
         values = dict(self.fixed) | dict(zip(self.bounds, theta.tolist(), strict=True))
 
-        def three(kind: str, defaults: Array) -> Array:
-            rows = zip(COLOURS, defaults.tolist(), strict=True)
+        def three(kind: str, defaults: float | Array) -> Array:
+            rows = zip(COLOURS, np.broadcast_to(defaults, 3).tolist(), strict=True)
             return np.array([values.get(f"{kind}_{colour}", value) for colour, value in rows])
 
-        beta = three("beta", np.zeros(3))
-        G = three("G", three("share", np.ones(3)) * beta)
-        source = three("source", G * three("veil", np.zeros(3)))
-        light = np.exp(three("light", np.zeros(3)))
-        return Coefficients(
-            beta, G, source, light, values.get("width", 0.0), values.get("exponent", 1.0)
-        )
+        beta = three("beta", 0.0)
+        G = three("G", three("share", 1.0) * beta)
+        source, light = three("source", G * three("veil", 0.0)), np.exp(three("light", 0.0))
+        width, exponent = values.get("width", 0.0), values.get("exponent", 1.0)
+        return Coefficients(beta, G, source, light, width, exponent)
 
     def start(self, numbers: Mapping[str, float]) -> Array:
         """θ of numbers by the names of `bounds`; the others are where a fit may begin."""
         return np.array([numbers.get(name, bound.begin) for name, bound in self.bounds.items()])
 
-    def medium(self, theta: Array) -> Medium:
-        """The water as `uwaug.Underwater` takes it: a batch of one."""
-        c, reference = self.coefficients(theta), self.geometry.reference
-        positive_G = c.G.clip(min=_MIN_G)
-        rows = (c.beta, positive_G, c.light, c.source / positive_G)
-        beta, G, light, veil = (torch.from_numpy(x)[None] for x in rows)
-        if self.spec.shape is None and self.spec.separate_veil:
-            return _without_scatter(beta, G, light, veil)
-        beta = beta.maximum(G)
-        if self.spec.shape is None:
-            return Medium.from_coefficients(beta, beta, veil, light=light)
-        b = float((beta - G).mean()) / (1 - Scattering.CALIBRATED.g)
-        b = max(b, _MIN_LENGTHS / reference)
-        scale = c.width / (b * reference) ** c.exponent
-        law = PointSpread(scale, c.exponent, self.spec.shape, float(min(self.geometry.size)))
-        return Medium.from_coefficients(beta, G, veil, b_mean=b, point_spread=law, light=light)
+    def medium(self, c: Coefficients) -> Medium:
+        """The water as `uwaug.Underwater` takes it: a batch of one, float64."""
+        reference, scatters = self.geometry.reference, self.spec.shape is not None
+        G = c.G.clip(min=_MIN_G)
+        beta = c.beta if self.spec.separate_veil and not scatters else np.maximum(c.beta, G)
+        direct = signal = np.diag(c.light)
+        rates, veil, note = G, np.diag(c.source / G), "fitted: one rate for each colour"
+        b, law = 0.0, PointSpread.none()
+        if self.spec.shape is not None:
+            b = float((beta - G).mean()) / (1 - Scattering.CALIBRATED.g)
+            b = max(b, _MIN_LENGTHS / reference)
+            px = c.width / (b * reference) ** c.exponent
+            scale = px / Law(unit="paper").pixels(self.geometry.size, WIDE)
+            law = PointSpread(float(scale), float(c.exponent), self.spec.shape, "paper")
+        elif self.spec.separate_veil:
+            # signal and veil share rates: those of direct light, then those of the veil
+            rates, none = np.concatenate([beta, G]), np.zeros((3, 3))
+            signal, veil = np.concatenate([signal, none], 1), np.concatenate([none, veil], 1)
+            note = "fitted: direct light and veil, no forward scatter"
+        numbers = (np.array(number) for number in (b, law.scale, law.exponent))
+        arrays = zip(Medium.TENSORS, (beta, direct, rates, signal, veil, *numbers), strict=False)
+        return Medium.of_arrays(dict(arrays), law.law, note)
+
+    def picture(self, c: Coefficients, pixels: Pixels) -> Tensor:
+        """Pixels (1x3x1xN) in linear light."""
+        soft = pixels.clean
+        if self.spec.shape is not None:
+            sigma = c.width * (pixels.z / self.geometry.reference) ** c.exponent
+            soft = pixels.stacks[self.spec.shape].softened(sigma)
+        return self.medium(c).image(pixels.z, pixels.clean, soft)
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""
-        medium, soft = self.medium(theta), pixels.clean
-        if self.spec.shape is not None:
-            soft = pixels.softened(self.spec.shape, medium.width(pixels.z, pixels.size))
-        return medium.image(pixels.z, pixels.clean, soft)
-
-    def slopes(self, theta: Array, pixels: Pixels) -> Array:
-        """Derivatives of the 3·N values by θ (3·N x numbers)."""
-        c = self.coefficients(theta)
-        by = picture_slopes(c, pixels, self.spec.shape, self.geometry.reference)
-        beta, G = (torch.from_numpy(x).reshape(1, 3, 1, 1) for x in (c.beta, c.G))
-        # G follows β unless it is fixed; source follows G if the veil is fixed
-        G_by_beta, source_by_G = G / beta.clamp(min=1e-12), torch.zeros(1, 3, 1, 1).double()
-        if not self.spec.separate_veil:
-            G_by_beta = torch.ones_like(G)
-        for i, colour in enumerate(COLOURS):
-            source_by_G[:, i] = self.fixed.get(f"veil_{colour}", 0.0)
-            if f"G_{colour}" in self.fixed:
-                G_by_beta[:, i] = 0.0
-        by_G = by["G"] + source_by_G * by["source"]
-        by |= {
-            "beta": by["beta"] + G_by_beta * by_G,
-            "share": beta * by_G,
-            "light": torch.from_numpy(c.light).reshape(1, 3, 1, 1) * by["light"],
-        }
-        jacobian = np.zeros((3, pixels.z.shape[-1], len(self.bounds)))
-        for column, name in enumerate(self.bounds):
-            kind, _, colour = name.partition("_")
-            # a number of one colour moves no other
-            rows = [COLOURS.index(colour)] if colour else [0, 1, 2]
-            jacobian[rows, :, column] = by[kind][0, rows, 0]
-        return jacobian.reshape(-1, len(self.bounds))
+        return self.picture(self.coefficients(theta), pixels)
 
     @cached_property
     def quantities(self) -> list[Quantity]:
@@ -342,10 +275,11 @@ class CoefficientModel(Model):
         kinds += [("veil", "1", light, "source"), ("source", "1/m", light / farthest, "source")]
         if self.gain:
             kinds.append(("gain", "1", light, "light"))
-        rows = []
-        for kind, unit, resolution, follows in kinds:
-            for colour in COLOURS:
-                rows.append(Quantity(f"{kind}_{colour}", unit, resolution, f"{follows}_{colour}"))
+        rows = [
+            Quantity(f"{kind}_{colour}", unit, resolution, f"{follows}_{colour}")
+            for kind, unit, resolution, follows in kinds
+            for colour in COLOURS
+        ]
         if self.spec.shape:
             rows.append(Quantity("width", "px", 0.2, "width"))
             rows.append(Quantity("exponent", "1", 0.2, "exponent"))
@@ -354,33 +288,12 @@ class CoefficientModel(Model):
     def report(self, theta: Array) -> Array:
         """Value of each of `quantities`."""
         c = self.coefficients(theta)
-        rows = [c.beta]
-        if self.spec.separate_veil:
-            rows.append(c.G)
-        rows += [c.source / (c.G + _MIN_G), c.source]
-        if self.gain:
-            rows.append(c.light)
-        if self.spec.shape:
-            rows.append(np.array([c.width, c.exponent]))
-        return np.concatenate(rows)
+        values = {**c._asdict(), "veil": c.source / (c.G + _MIN_G), "gain": c.light}
+        kinds = dict.fromkeys(quantity.name.partition("_")[0] for quantity in self.quantities)
+        return np.hstack([values[kind] for kind in kinds])
 
     def hidden(self, theta: Array) -> Sequence[str]:
         """Names of β and the width law, where the blur is hardly told from none."""
         if self.spec.shape is None or self.coefficients(theta).width >= NARROW_PX:
             return ()
         return ("beta_red", "beta_green", "beta_blue", "width", "exponent")
-
-
-def _without_scatter(beta: Tensor, G: Tensor, light: Tensor, veil: Tensor) -> Medium:
-    """A medium (of 1x3 tensors) without forward scatter, T_G = T_β, whose veil has separate rates
-    G.
-    """
-    medium = Medium.from_coefficients(beta, beta, veil, light=light)
-    zeros = torch.zeros_like(medium.veil_weights)
-    return replace(
-        medium,
-        G=torch.cat([beta, G], 1),
-        signal_weights=torch.cat([medium.signal_weights, zeros], 2),
-        veil_weights=torch.cat([zeros, medium.veil_weights], 2),
-        notes=("fitted: direct light and veil, no forward scatter",),
-    )

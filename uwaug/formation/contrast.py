@@ -22,10 +22,11 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
+from uwaug.formation.setting import Setting
 from uwaug.light import Light
-from uwaug.light.snow import snowing
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
+from uwaug.optics.view import WIDE, View
 
 FAINT = 0.03
 """Share of contrast below which next to nothing can be seen."""
@@ -38,6 +39,7 @@ def contrast_left(
     reflectance: float | Tensor = 0.18,
     light: Light | None = None,
     metres: Tensor | None = None,
+    view: View = WIDE,
 ) -> Tensor:
     """Share of the contrast of fine detail that water leaves at each pixel.
 
@@ -52,6 +54,7 @@ def contrast_left(
             the scene's own linear light. The default is the grey of photography.
         light: lamps, and the direction of daylight; None for daylight as the medium has it.
         metres (as distance): distance without the field, for lamps in uneven water.
+        view: of the camera, for lamps and the direction of daylight.
 
     Returns:
         1xHxW if distance has no batch, and medium one row, else Bx1xHxW; of distance's
@@ -89,8 +92,9 @@ def contrast_left(
         )
         object_light = _checked_light(reflectance, z)
         water = medium.to(z)
-        T = None if light is None else light.curves(water, z, *unscaled)
-        T = snowing(T, water, light, z, *unscaled)
+        setting = Setting(medium, light, view=view)
+        T = setting.curves(water, z, *unscaled)
+        T = setting.snowing(T, water, z, *unscaled)
         # an even surface, which no blur changes
         terms = water.parts(z, object_light, object_light, T)
         detail = _luminance(terms["direct"])

@@ -1,8 +1,8 @@
 """The blur that a medium needs over a range of distances: widths, tolerance and plans."""
 
 import math
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,10 +10,13 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.compiled import compiled
-from uwaug._support.types import Array, Shape
+from uwaug._support.types import Array
 from uwaug.blur.plan import NO_BLUR, BlurPlan, octave_steps, plan_blur
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import Law
+from uwaug.optics.view import WIDE, Size, View
+from uwaug.optics.weights import Weights
 
 SIDES = (32, 2160)
 """Short sides, px, from a thumbnail's to a 4K picture's, for which the command line exports."""
@@ -48,6 +51,9 @@ _LEARNED_MARGIN = 1.1
 missing at its very end.
 """
 
+_NEAR_SHARE = 0.02
+"""Share by which a width may leave a plan before it shows."""
+
 _WIDEST_SIDES = 8
 """Widest blur, in longest sides: wider ones all give the mean."""
 
@@ -55,99 +61,61 @@ _LOG_STEPS = np.linspace(0, 1, 65)
 """Places in the logarithm of distance at which forward scatter is sampled."""
 
 
-class Weights(NamedTuple):
-    """Arrays of a medium of B rows in double precision: rates (BxK, BxL) and weights of the three
-    curves (Bx3xK, Bx3xL, Bx3xL), of which the first two have nine rows for surfaces with spectra.
-    """
-
-    beta: Array
-    direct: Array
-    G: Array
-    signal: Array
-    veil: Array
-
-    @staticmethod
-    def of(medium: Medium) -> "Weights":
-        """The arrays of a medium."""
-        direct, signal = medium.direct_weights.flatten(1, -2), medium.signal_weights.flatten(1, -2)
-        tensors = (medium.beta, direct, medium.G, signal, medium.veil_weights)
-        return Weights(*(x.detach().cpu().double().contiguous().numpy() for x in tensors))
-
-    def seen_by(self, gain: Array) -> "Weights":
-        """The medium before a camera that multiplies channels (B or 1, 3), or mixes them by
-        matrices (B or 1, 3, 3).
-        """
-        beta, G = self.beta, self.G
-        if len(gain) > len(beta):
-            beta, G = beta.repeat(len(gain), 0), G.repeat(len(gain), 0)
-        if gain.ndim == 2 and self.direct.shape[1] == 3:
-            gain = gain[..., None]
-            return Weights(beta, gain * self.direct, G, gain * self.signal, gain * self.veil)
-        matrix = gain if gain.ndim == 3 else gain[..., None] * np.eye(3)
-        direct, signal = _mixed(matrix, self.direct), _mixed(matrix, self.signal)
-        return Weights(beta, direct, G, signal, matrix @ self.veil)
-
-
-def _mixed(matrix: Array, weights: Array) -> Array:
-    """Weights (Bx3xK, or Bx9xK of matrices) after a matrix (Bx3x3) that mixes channels: Bx9xK."""
-    if weights.shape[1] == 3:
-        mixed = matrix[..., None] * weights[:, None]
-    else:
-        mixed = matrix @ weights.reshape(len(weights), 3, -1)
-    return mixed.reshape(len(mixed), 9, -1)
-
-
 @dataclass(frozen=True)
 class BlurDemand:
     """The blur that a medium needs over a range of distances, before the image size is known.
 
     Attributes:
-        low, high: smallest and largest width that shows, px at the point spread's reference size;
-            both 0 if none does.
+        low, high: smallest and largest width that shows, in units of the law; both 0 if none does.
         blur_tolerance: tolerance of the blurred picture before it is weighted with forward scatter;
             the weaker the scatter, the larger.
-        shape, reference_size: shape and reference size of the point spread.
+        law: of the widths.
+        view: of the camera.
         learned: True to plan a blur even if none shows, as the width is learned.
     """
 
     low: float
     high: float
     blur_tolerance: float
-    shape: Shape
-    reference_size: float | None
+    law: Law
+    view: View = WIDE
     learned: bool = False
 
     @property
     def serves_every_size(self) -> bool:
         """True if pictures of any size need the same blur."""
-        return self.high == 0 or (self.reference_size is None and self.shape == "gaussian")
+        return self.high == 0 or self.law == Law("gaussian", "px")
 
     def covers(self, other: "BlurDemand") -> bool:
         """True if a plan for this demand serves another one of the same law."""
         wide_enough = self.low <= other.low and other.high <= self.high
         return wide_enough and self.blur_tolerance <= other.blur_tolerance
 
-    def plan(self, size: tuple[int, int], *, shared: bool = False) -> BlurPlan:
+    def holds(self, other: "BlurDemand") -> bool:
+        """True if the widths of another demand of the same law lie within this one's, or near."""
+        low, high = self.low * (1 - _NEAR_SHARE), self.high * (1 + _NEAR_SHARE)
+        return other.high == 0 or (low <= other.low and other.high <= high)
+
+    def plan(self, size: Size, *, shared: bool = False) -> BlurPlan:
         """The plan for an image of (height, width) `size`.
 
         `shared` rounds the ends of the range outwards to half octaves, so that similar demands
         share a plan and its matrices: for media that change from call to call.
         """
-        return self._plan(min(size), min(size), max(size), shared)
+        return self._plan(size, size, shared)
 
     def plan_all(self, sides: tuple[int, int]) -> BlurPlan:
         """One plan for all images whose short side lies in `sides`, px, and whose long side is 4
         times the larger of these at most.
         """
-        return self._plan(*sides, _LONGEST_SIDES * sides[1], shared=False)
+        smallest, largest = sides
+        return self._plan((smallest, smallest), (largest, _LONGEST_SIDES * largest), False)
 
-    def _plan(self, smallest: int, largest: int, longest: int, shared: bool) -> BlurPlan:
-        reference = self.reference_size
-        low = self.low * (1.0 if reference is None else smallest / reference)
-        high = min(
-            self.high * (1.0 if reference is None else largest / reference),
-            float(_WIDEST_SIDES * longest),
-        )
+    def _plan(self, smallest: Size, largest: Size, shared: bool) -> BlurPlan:
+        longest = max(largest)
+        low = self.low * self.law.pixels(smallest, self.view)
+        high = self.high * self.law.pixels(largest, self.view)
+        high = min(high, float(_WIDEST_SIDES * longest))
         if self.learned:
             high = max(high, _LEARNED_REACH_PX)
         if high < 1e-6:
@@ -156,7 +124,7 @@ class BlurDemand:
             high = octave_steps(high, 2, math.ceil)
             low = octave_steps(low, 2, math.floor) if low > 0.2 else 0.0
         low = min(low, high)
-        return plan_blur(low, high, self.blur_tolerance, self.shape, longest, shared=shared)
+        return plan_blur(low, high, self.blur_tolerance, self.law.shape, longest, shared=shared)
 
 
 def blur_demand(
@@ -164,9 +132,9 @@ def blur_demand(
     distance_range: tuple[float, float],
     tolerance: float = 0.002,
     *,
+    view: View = WIDE,
     learned: bool = False,
     margin: float = 1.0,
-    seen: Weights | None = None,
 ) -> BlurDemand:
     """The blur that a medium needs over a range of effective distances, and no more.
 
@@ -178,41 +146,39 @@ def blur_demand(
         distance_range: (nearest, farthest) of m·z, m; 0 ≤ nearest ≤ farthest, inf allowed.
         tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
             single pixels may be off by 3 to 5 times as much.
+        view: of the camera.
         learned: True to plan for gradients to the medium: finer, as slopes are wanted, and even if
             forward scatter or its width is invisible now.
         margin: factor by which the range of widths is widened either way, for widths that are
             learned.
-        seen: the medium before a camera; None for the medium as it is.
     """
+    learns_width = learned and checks.records(medium.scale, medium.exponent)
+    demand = demand_of(medium.weights(), medium.law, distance_range, tolerance, view, learned)
+    is_learned = learns_width or (learned and demand.high > 0)
+    low, high = demand.low / margin, demand.high * margin
+    return replace(demand, low=low, high=high, learned=is_learned)
+
+
+def demand_of(
+    weights: Weights,
+    law: Law,
+    distance_range: tuple[float, float],
+    tolerance: float,
+    view: View = WIDE,
+    learned: bool = False,
+) -> BlurDemand:
+    """`blur_demand` of a medium as arrays, before a camera."""
     checks.tolerance(tolerance)
-    law = medium.point_spread
     near, far = max(distance_range[0], 0.0), min(distance_range[1], FARTHEST)
-    weights = Weights.of(medium) if seen is None else seen
     first, last, strength = _scattered(*weights[:4], near, far, tolerance, learned)
-    learns_width = learned and law.requires_grad
     if strength == 0:
-        return BlurDemand(0.0, 0.0, tolerance, law.shape, law.reference_size, learns_width)
-    widths = widths_at(medium, np.array([first, last]), None)
-    low, high = float(widths.min()), float(widths.max())
+        return BlurDemand(0.0, 0.0, tolerance, law, view)
+    widths = weights.widths(np.array([first, last]))
     # in half octaves, so that similar media may share a plan
     slack = _SLACK * octave_steps(1 / strength, 2, math.floor)
     blur_tolerance = min(tolerance * slack, _LEARNED_TOLERANCE if learned else 0.5)
     blur_tolerance = max(blur_tolerance, min(tolerance, _MIN_TOLERANCE))
-    learns_width |= learned and high > 0
-    return BlurDemand(
-        low / margin, high * margin, blur_tolerance, law.shape, law.reference_size, learns_width
-    )
-
-
-def widths_at(medium: Medium, z: Array, size: tuple[int, int] | None) -> Array:
-    """Widths (BxN), px, of a medium of B rows at distances (N), m, in double precision."""
-    law, b_mean = medium.point_spread, medium.b_mean.detach().cpu().double().numpy()
-    if not law.has_tensors:
-        widths: Array = law.sigma(b_mean[:, None] * z, size)
-        return widths
-    with torch.no_grad():
-        distances = torch.from_numpy(z).to(medium.beta.device)[None, None, None]
-        return medium.width(distances, size).flatten(1).cpu().numpy()
+    return BlurDemand(float(widths.min()), float(widths.max()), blur_tolerance, law, view)
 
 
 @compiled
@@ -276,25 +242,15 @@ def _farthest_blurred(G: Array, signal_weights: Array) -> float:
     return FARTHEST if slowest <= 0 else min(40 / slowest, FARTHEST)
 
 
-def plan_for(z: Tensor, medium: Medium, size: tuple[int, int], tolerance: float) -> BlurPlan:
-    """The plan for effective distances z, m, in a picture of (height, width) `size`, rounded so
-    that similar distances share it. Gradients of the medium take a finer plan.
+def plan_for(z: Tensor, medium: Medium, size: Size, tolerance: float) -> BlurPlan:
+    """The plan for effective distances z, m, in a picture of (height, width) `size`, of a medium
+    whose widths are px; rounded so that similar distances share it. Gradients of the medium take a
+    finer plan.
     """
-    weights = Weights.of(medium)
-    return plan_between(blurred_between(z, weights), medium, size, tolerance, weights)
-
-
-def plan_between(
-    ends: tuple[float, float],
-    medium: Medium,
-    size: tuple[int, int],
-    tolerance: float,
-    weights: Weights,
-) -> BlurPlan:
-    """`plan_for` between two distances, m, of a medium before a camera."""
     learned = torch.is_grad_enabled() and medium.requires_grad
     margin = _LEARNED_MARGIN if learned else 1.0
-    demand = blur_demand(medium, ends, tolerance, learned=learned, margin=margin, seen=weights)
+    ends = blurred_between(z, medium.weights())
+    demand = blur_demand(medium, ends, tolerance, learned=learned, margin=margin)
     return demand.plan(size, shared=True)
 
 

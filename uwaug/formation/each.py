@@ -1,4 +1,4 @@
-"""Image formation of pictures that each have a medium, on the device of their values."""
+"""Image formation of pictures that each have a setting, on the device of their values."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,12 +8,11 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.types import ColorSpace
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.demand import blur_demand
 from uwaug.formation.development import Development, Means, farthest_veil
 from uwaug.formation.image import form
-from uwaug.light import Light
+from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
@@ -24,131 +23,102 @@ _WALL_PX = (9, 12)
 """Height and width of a wall that stands for a scene under lamps, which light a part of it."""
 
 
-def form_each(
-    images: Tensor,
-    z: Tensor,
-    media: Sequence[Medium],
-    developments: Sequence[Development],
-    *,
-    color_space: ColorSpace,
-    lights: Sequence[Light | None],
-    metres: Tensor,
-    spans: Sequence[tuple[float, float, float]],
-    alike: bool,
-) -> Tensor:
+def form_each(images: Tensor, z: Tensor, metres: Tensor, settings: Sequence[Setting]) -> Tensor:
     """Pictures (Bx3xHxW) as cameras store them, see `uwaug.formation.image.form`.
 
     On the host they are formed one after the other, which keeps the data of one in the caches. (By
     PyTorch, 16 of 256² take 15 ms each; all at once, with rates padded to as many for all, 29.) On
     a device pictures by daylight alone are formed at once, then those with lamps one by one,
-    without a look at values.
+    without a look at values: blurs are planned for the `span` of each, in a scene of grey.
 
     Args:
-        images, z, color_space, metres: as for `form`.
-        media, developments, lights: one row for each picture; a light is None for daylight that is
-            alike in all directions.
-        spans: nearest, median and farthest effective distance of each picture, m. On a device blurs
-            are planned for these, in a scene of grey.
-        alike: True if all have one width law, and all or none are metered.
+        images, z, metres: as for `form`, a row for each picture.
+        settings: one for each picture, of one colour space.
     """
-    planned = alike and not checks.on_host(images)
-    by_day = _of_one_day(lights) if planned else []
+    planned = not checks.on_host(images) and _are_alike(settings)
+    by_day = _of_one_day(settings) if planned else []
     results: dict[int, Tensor] = {}
     if by_day:
         rows = slice(None) if len(by_day) == len(images) else by_day
-        pictures = _at_once(
-            images[rows],
-            z[rows],
-            [media[i] for i in by_day],
-            [developments[i] for i in by_day],
-            [spans[i] for i in by_day],
-            [lights[i] for i in by_day],
-            color_space,
-        )
-        if len(by_day) == len(images):
-            return pictures
+        pictures = _at_once(images[rows], z[rows], [settings[i] for i in by_day])
         results |= dict(zip(by_day, torch.split(pictures, 1), strict=True))
-    for i in sorted({*range(len(images))} - {*by_day}):
-        light, plans = lights[i], list[BlurPlan]()
-        if planned and light is not None:
-            brightened = _lit_grey(media[i], developments[i], light, spans[i][1])
-            plans = _plans([brightened], [spans[i]], z)
-        results[i] = form(
-            images[i : i + 1],
-            z[i : i + 1],
-            media[i],
-            developments[i],
-            color_space=color_space,
-            light=light,
-            metres=metres[i : i + 1],
-            plans=plans,
-        )
+    for i, setting in enumerate(settings):
+        if i in results:
+            continue
+        plans = list[BlurPlan]()
+        if planned and setting.light is not None:
+            plans = _plans(_lit_grey(setting, z.shape[-1]), [setting], z)
+        row = slice(i, i + 1)
+        results[i] = form(images[row], z[row], setting, metres=metres[row], plans=plans)
     ordered = [results[i] for i in range(len(images))]
     return ordered[0] if len(ordered) == 1 else torch.cat(ordered)
 
 
-def _at_once(
-    images: Tensor,
-    z: Tensor,
-    media: Sequence[Medium],
-    developments: Sequence[Development],
-    spans: Sequence[tuple[float, float, float]],
-    lights: Sequence[Light | None],
-    color_space: ColorSpace,
-) -> Tensor:
-    """Form all pictures by daylight at once, without reading their values on the host."""
-    medium, development = Medium.stack(media), Development.stack(developments, z)
-    light = lights[0]
-    if light is not None:
-        light = replace(light, pitch=torch.tensor([day.pitch for day in lights if day]))
-    day = medium if light is None else medium.brightened(torch.full((1, 1), light.daylight))
-    grey = _of_grey(day, developments, spans)
-    plans = _plans([grey[i] for i in range(len(spans))], spans, z)
-    return form(images, z, medium, development, color_space=color_space, light=light, plans=plans)
+def _are_alike(settings: Sequence[Setting]) -> bool:
+    """True if the media can be stacked, and the developments."""
+    developments = [setting.development for setting in settings]
+    laws = {setting.medium.law for setting in settings}
+    is_set = any(isinstance(d.white_balance, tuple) for d in developments)
+    return len(laws) == 1 and len({d.metered for d in developments}) == 1 and not is_set
 
 
-def _of_one_day(lights: Sequence[Light | None]) -> list[int]:
+def _of_one_day(settings: Sequence[Setting]) -> list[int]:
     """Indices of pictures by daylight alone, which differ at most in the pitch of the camera."""
     days: dict[Any, list[int]] = {}
-    for i, light in enumerate(lights):
+    for i, setting in enumerate(settings):
+        light = setting.light
         if light is None:
-            days.setdefault(None, []).append(i)
+            days.setdefault((None, setting.view), []).append(i)
         elif not light.lamps and isinstance(light.pitch, float):
-            days.setdefault((light.daylight, light.view), []).append(i)
+            days.setdefault((light.daylight, setting.view), []).append(i)
     return max(days.values(), key=len, default=[])
 
 
-def _plans(
-    media: Sequence[Medium], spans: Sequence[tuple[float, float, float]], z: Tensor
-) -> list[BlurPlan]:
+def _at_once(images: Tensor, z: Tensor, settings: Sequence[Setting]) -> Tensor:
+    """Form all pictures by daylight at once, without reading their values on the host."""
+    medium = Medium.stack([setting.medium for setting in settings])
+    development = Development.stack([setting.development for setting in settings], z)
+    light, day = settings[0].light, medium
+    if light is not None:
+        pitches = torch.tensor([each.light.pitch for each in settings if each.light])
+        light = replace(light, pitch=pitches)
+        day = medium.brightened(torch.full((1, 1), light.daylight))
+    stacked = replace(settings[0], medium=medium, light=light, development=development)
+    plans = _plans(_of_grey(day, settings), settings, z)
+    return form(images, z, stacked, plans=plans)
+
+
+def _plans(media: Medium, settings: Sequence[Setting], z: Tensor) -> list[BlurPlan]:
     """Blurs of pictures of the size of a map, for media as cameras brighten them."""
-    size = (z.shape[-2], z.shape[-1])
-    demands = (
-        blur_demand(medium, (near, far))
-        for medium, (near, _, far) in zip(media, spans, strict=True)
-    )
-    return [demand.plan(size, shared=True) for demand in demands]
+    plans = []
+    for i, setting in enumerate(settings):
+        near, _, far = setting.span
+        demand = blur_demand(media[i], (near, far), view=setting.view)
+        plans.append(demand.plan((z.shape[-2], z.shape[-1]), shared=True))
+    return plans
 
 
-def _lit_grey(medium: Medium, development: Development, light: Light, median: float) -> Medium:
-    """A medium as a camera brightens it where lamps light a grey wall at the median distance."""
-    z = torch.full((1, 1, *_WALL_PX), min(median, FARTHEST), dtype=torch.float64)
-    grey, water = z.new_full((1, 3, *_WALL_PX), _GREY), medium.to(z)
-    gain = development.gain(grey, z, water, light.curves(water, z))
-    return light.planned(water).brightened(gain)
+def _lit_grey(setting: Setting, width: int) -> Medium:
+    """The medium as a camera brightens it where lamps light a grey wall at the median distance, of
+    a picture of this width, px.
+    """
+    assert setting.light is not None
+    metres = min(setting.span[1], FARTHEST)
+    z = torch.full((1, 1, *_WALL_PX), metres, dtype=torch.float64)
+    grey, water = z.new_full((1, 3, *_WALL_PX), _GREY), setting.medium.to(z)
+    T = setting.light.curves(water, z, setting.view.resized(_WALL_PX[1] / width))
+    gain = setting.development.gain(grey, z, water, T)
+    return setting.light.planned(water).brightened(gain)
 
 
-def _of_grey(
-    medium: Medium,
-    developments: Sequence[Development],
-    spans: Sequence[tuple[float, float, float]],
-) -> Medium:
+def _of_grey(medium: Medium, settings: Sequence[Setting]) -> Medium:
     """Media as a camera brightens them where the scene is grey and all at its median distance."""
-    rows = torch.tensor(spans, dtype=torch.float64)
+    rows = torch.tensor([setting.span for setting in settings], dtype=torch.float64)
     z, farthest = rows.T[1:, :, None, None, None].clamp(max=FARTHEST)
     grey = z.new_full((len(z), 3, 1, 1), _GREY)
     arriving = medium.image(z, grey, grey).flatten(1)
     means = Means(
         grey.flatten(1), arriving, arriving.clamp(min=0.0), farthest_veil(farthest, medium)
     )
-    return medium.brightened(Development.stack(developments, z).gain_of(means, z))
+    development = Development.stack([setting.development for setting in settings], z)
+    return medium.brightened(development.gain_of(means, z))

@@ -21,17 +21,17 @@ from torch import Tensor
 
 from uwaug import fast
 from uwaug._support import checks
-from uwaug._support.types import ColorSpace
 from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.formation.colour import decoded, encoded, headroom
 from uwaug.formation.demand import plan_for
-from uwaug.formation.development import NEUTRAL, Development, exposed
+from uwaug.formation.development import exposed
 from uwaug.formation.inputs import effective_distance, validate
+from uwaug.formation.setting import Setting
 from uwaug.light import Light
-from uwaug.light.snow import snowing
 from uwaug.optics.curves import Curves
 from uwaug.optics.medium import Medium
+from uwaug.optics.view import WIDE, View
 
 _BAND_PIXELS = 1 << 18
 """Pixels that are decoded, mixed and developed at a time, so that they stay in the caches. This
@@ -45,11 +45,8 @@ Blur = Callable[[Tensor, Tensor], Tensor]
 def form(
     image: Tensor,
     z: Tensor,
-    medium: Medium,
-    development: Development = NEUTRAL,
+    setting: Setting,
     *,
-    color_space: ColorSpace = "srgb",
-    light: Light | None = None,
     metres: Tensor | None = None,
     plan: BlurPlan | None = None,
     plans: Sequence[BlurPlan] = (),
@@ -62,9 +59,7 @@ def form(
     Args:
         image (Bx3xHxW tensor): uint8 or floating point, in the color space.
         z (Bx1xHxW tensor): effective distances, m, finite, ≥ 0; float32 or float64.
-        medium: one row, or one for each picture.
-        development: steps of the camera.
-        light: lamps, and the direction of daylight; None for daylight as the medium has it.
+        setting: water, light and camera, of all pictures or of each.
         metres (Bx1xHxW): distances, m, for lamps, where a field multiplies them in z.
         plan: plan of the blur; None plans for the distances at hand.
         plans: one plan for each picture, in place of `plan`.
@@ -74,14 +69,14 @@ def form(
     """
     if image.numel() == 0 or z.numel() == 0:
         return _nothing(image, z)
-    if not plans and fast.can(image, z, medium, light, development):
+    if not plans and fast.can(image, z, setting):
         from uwaug.fast import render  # imports numba, which takes a second
 
-        lit = light, metres
-        return render.form(image, z, medium, development, color_space, plan, tolerance, *lit)
-    medium = medium.to(z)
+        return render.form(image, z, setting, plan, tolerance, metres)
+    size, color_space = (z.shape[-2], z.shape[-1]), setting.color_space
+    medium, development = setting.medium.in_pixels(size, setting.view).to(z), setting.development
     J = _in_bands(medium, lambda x: decoded(x, color_space).to(z.dtype), image)
-    T = None if light is None else light.curves(medium, z, metres)
+    T = setting.curves(medium, z, metres)
     gain = development.gain(J, z, medium, T)
     if plans:
         pictures = [slice(i, i + 1) for i in range(len(J))]
@@ -89,15 +84,14 @@ def form(
         soft = torch.cat([blurred_as_seen(J[i], z[i], medium[i], plan) for i, plan in pairs])
     else:
         if plan is None:
-            plan = _plan(z, medium, light, gain, tolerance)
+            plan = _plan(z, medium, setting.light, gain, tolerance)
         soft = blurred_as_seen(J, z, medium, plan, blur)
     # after the gain: the camera is metered without snow, which changes nothing else in a picture
-    T = snowing(T, medium, light, z, metres)
+    T = setting.snowing(T, medium, z, metres, J)
     largest = headroom(image) if color_space == "srgb" else 1.0
     sensor, noise = development.noise, () if normals is None else (normals,)
     if sensor is not None and not noise:
-        batch, size = max(len(J), len(z), len(medium)), (z.shape[-2], z.shape[-1])
-        noise = (sensor.normals(batch, size, z),)
+        noise = (sensor.normals(max(len(J), len(z), len(medium)), size, z),)
 
     def stored(z: Tensor, J: Tensor, soft: Tensor, *noise: Tensor) -> Tensor:
         arriving = medium.image(z, J, soft, T)
@@ -131,7 +125,9 @@ def _nothing(image: Tensor, z: Tensor) -> Tensor:
 def _plan(
     z: Tensor, medium: Medium, light: Light | None, gain: Tensor, tolerance: float
 ) -> BlurPlan:
-    """Plan of the blur at distances (Bx1xHxW, m), as light and camera brighten it."""
+    """Plan of the blur at distances (Bx1xHxW, m) of a medium whose widths are px, as light and
+    camera brighten it.
+    """
     brightest = medium if light is None else light.planned(medium)
     size = z.shape[-2], z.shape[-1]
     return plan_for(z, brightest.brightened(gain.detach()), size, tolerance)
@@ -140,18 +136,17 @@ def _plan(
 def blurred_as_seen(
     J: Tensor, z: Tensor, medium: Medium, plan: BlurPlan, blur: Blur | None = None
 ) -> Tensor:
-    """J (Bx3xHxW) blurred by forward scatter, at each pixel by the width at its distance z."""
+    """J (Bx3xHxW) blurred by forward scatter, at each pixel by the width, px, at its distance z."""
     if plan.sigmas == (0.0,) and not medium.requires_grad:
         return J
-    size = (z.shape[-2], z.shape[-1])
     if blur is not None:
-        return blur(J, medium.width(z, size))
+        return blur(J, medium.width(z))
     stack = blurred(J, plan)
     if len(stack) == 1:  # the width does nothing: its gradient is 0, not missing
-        return stack[0] + 0 * medium.width(z, size) if medium.requires_grad else stack[0]
+        return stack[0] + 0 * medium.width(z) if medium.requires_grad else stack[0]
 
     def mixture(z: Tensor, *stack: Tensor) -> Tensor:
-        return mixed(list(stack), node_weights(medium.width(z, size), plan))
+        return mixed(list(stack), node_weights(medium.width(z), plan))
 
     return _in_bands(medium, mixture, z, *stack)
 
@@ -159,20 +154,18 @@ def blurred_as_seen(
 def terms_of(
     J: Tensor,
     z: Tensor,
-    medium: Medium,
-    development: Development = NEUTRAL,
-    *,
-    light: Light | None = None,
+    setting: Setting,
     metres: Tensor | None = None,
     tolerance: float = 0.002,
 ) -> tuple[Curves, dict[str, Tensor], Tensor]:
     """Curves at every pixel, the terms (Bx3xHxW) by name, and the camera's gain. Nothing is
-    checked; arguments as for `form`, but for linear light J and a medium of the type of z.
+    checked; arguments as for `form`, but for linear light J.
     """
-    T = medium.curves(z) if light is None else light.curves(medium, z, metres)
-    gain = development.gain(J, z, medium, None if light is None else T)
-    soft = blurred_as_seen(J, z, medium, _plan(z, medium, light, gain, tolerance))
-    T = snowing(T, medium, light, z, metres) or T
+    medium = setting.medium.in_pixels((z.shape[-2], z.shape[-1]), setting.view).to(z)
+    T = setting.curves(medium, z, metres)
+    gain = setting.development.gain(J, z, medium, T)
+    soft = blurred_as_seen(J, z, medium, _plan(z, medium, setting.light, gain, tolerance))
+    T = setting.snowing(T, medium, z, metres, J) or medium.curves(z)
     return T, medium.parts(z, J, soft, T), gain
 
 
@@ -196,6 +189,7 @@ def form_image(
     medium: Medium,
     *,
     light: Light | None = None,
+    view: View = WIDE,
     tolerance: float = 0.002,
 ) -> Terms:
     """The terms of an underwater image, in linear light.
@@ -228,11 +222,12 @@ def form_image(
     with checks.full_precision(image):
         J = image if image.ndim == 4 else image[None]
         dtype = torch.promote_types(image.dtype, torch.float32)
-        z, water = effective_distance(distance, None, dtype), medium.to(dtype)
+        z = effective_distance(distance, None, dtype)
         if J.numel() == 0 or z.numel() == 0:
             return Terms(**{field.name: _nothing(J, z) for field in fields(Terms)})
         J = J.to(dtype)
-        terms = terms_of(J, z, water, light=light, tolerance=tolerance)[1]
+        setting = Setting(medium, light, view=view, color_space="linear")
+        terms = terms_of(J, z, setting, tolerance=tolerance)[1]
         terms["image"] = sum(list(terms.values())[1:], terms["direct"])
     rows = 0 if image.ndim == 3 and len(terms["image"]) == 1 else slice(None)
     return Terms(**{name: term.to(image.dtype)[rows] for name, term in terms.items()})

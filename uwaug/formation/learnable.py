@@ -1,6 +1,5 @@
 """A medium inside a module: as buffers, or as parameters for an optimiser."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, get_args
@@ -12,7 +11,7 @@ from torch import Tensor, nn
 from uwaug._support import checks
 from uwaug._support.types import Shape
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
+from uwaug.optics.point_spread import Law, Unit
 
 Part = Literal["rates", "veil", "width"]
 
@@ -24,45 +23,33 @@ _MIN_G = 1e-9
 
 
 class FixedMedium(nn.Module):
-    """A medium whose tensors are buffers, so that it moves and is saved with a module. The rest of
-    its width law is saved, too, and a state with another law is refused.
+    """A medium whose tensors are buffers, so that it moves and is saved with a module. Its law is
+    saved, too, and a state with another one is refused.
     """
 
     def __init__(self, medium: Medium) -> None:
         super().__init__()
         self.start = medium.map(lambda t: t.detach().clone())
-        # a number for the whole batch in a width law stays a number: x² is faster than a power
-        law = self.start.point_spread.numbers()
-        for name, value in self.start.parameters().items():
-            if isinstance(law.get(name, value), Tensor):
-                self.register_buffer(name, value.clone())
+        for name, value in self.start.named_tensors().items():
+            self.register_buffer(name, value.clone())
 
     def forward(self) -> Medium:
         """The medium of the buffers."""
         tensors: dict[str, Any] = dict(self.named_buffers())
-        law = self.start.point_spread
-        numbers = {name: tensors.pop(name) for name in law.NUMBERS if name in tensors}
-        # a new law looks at its numbers, which torch.compile cannot do
-        law = replace(law, **numbers) if numbers else law
-        return replace(self.start, **tensors, point_spread=law)
+        return replace(self.start, **tensors)
 
     def get_extra_state(self) -> Tensor:
-        """The width law: shape, reference size (0 for none) and numbers (NaN for tensors)."""
-        law = self.start.point_spread
-        numbers = [math.nan if isinstance(x, Tensor) else x for x in law.numbers().values()]
-        size, shape = law.reference_size or 0.0, get_args(Shape).index(law.shape)
-        return torch.tensor([shape, size, *numbers], dtype=torch.float64)
+        """The law as numbers: its places in the lists of shapes and of units."""
+        law = self.start.law
+        places = get_args(Shape).index(law.shape), get_args(Unit).index(law.unit)
+        return torch.tensor(places, dtype=torch.float64)
 
     def set_extra_state(self, state: Tensor) -> None:
-        """Refuse the state of another width law."""
-        state = state.to("cpu", torch.float64)
-        if torch.allclose(state, self.get_extra_state(), rtol=1e-3, equal_nan=True):
-            return
-        shape, size, *numbers = state.tolist()
-        scale, exponent = (torch.tensor(1.0) if math.isnan(x) else x for x in numbers)
-        law = PointSpread(scale, exponent, get_args(Shape)[int(shape)], size or None)
-        wanted = f"this module's is {self.start.point_spread}: give it a medium with that law"
-        raise ValueError(f"state_dict is of the law {law}, {wanted}")
+        """Refuse the state of another law."""
+        shape, unit = map(int, state.tolist())
+        law = Law(get_args(Shape)[shape], get_args(Unit)[unit])
+        if law != self.start.law:
+            raise ValueError(f"state_dict is of {law}, this module's medium of {self.start.law}")
 
 
 class LearnableMedium(nn.Module):
@@ -88,17 +75,15 @@ class LearnableMedium(nn.Module):
             cure = "medium.as_coefficients() makes one rate of them"
             raise ValueError(f"learnable: the medium must have one rate for each channel; {cure}")
         self.learned = tuple(learned)
-        beta, G, law = medium.beta, medium.G, medium.point_spread
+        beta, G = medium.beta, medium.G
         if "rates" in learned:
             self._add("G", G)
             self._add("excess", beta - G)
         if "veil" in learned:
             self._add("veil_slope", G * medium.veil_weights.sum(-1))
         if "width" in learned:
-            scale = law.rows(len(medium), beta)["scale"].detach()
-            self._add("scale", scale)
-            medium = replace(medium, point_spread=replace(law, scale=scale))
-        self.start = FixedMedium(medium)
+            self._add("scale", medium.scale)
+        self.start = FixedMedium(medium.without_lamps())
 
     def _add(self, name: str, value: Tensor) -> None:
         """Add a parameter that becomes this value by `softplus`."""
@@ -119,5 +104,5 @@ class LearnableMedium(nn.Module):
         if "veil" in self.learned:
             learned["veil_weights"] = torch.diag_embed(positive["raw_veil_slope"] / G)
         if "width" in self.learned:
-            learned["point_spread"] = replace(medium.point_spread, scale=positive["raw_scale"])
-        return replace(medium, **learned, bands=())
+            learned["scale"] = positive["raw_scale"]
+        return replace(medium, **learned)

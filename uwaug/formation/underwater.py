@@ -24,8 +24,10 @@ from uwaug.formation.development import GAINS, NEUTRAL, Development
 from uwaug.formation.image import form
 from uwaug.formation.inputs import effective_distance, validate
 from uwaug.formation.learnable import FixedMedium, LearnableMedium, Part
+from uwaug.formation.setting import Setting
 from uwaug.light import Light
 from uwaug.optics.medium import Medium
+from uwaug.optics.view import WIDE, View
 
 _MAX_SHARE_OUTSIDE = 0.01
 """Share of the pixels that may lie outside of the planned range without a warning."""
@@ -59,10 +61,12 @@ class Underwater(nn.Module):
         sides: (smallest, largest) short side, px, of the pictures: one plan of the blur then serves
             them all, and a file exported from the module (`uwaug.onnx.export_onnx`) computes the
             same. None plans for each size, which is faster: one plan for (32, 2160) takes 15 to
-            70 % more time. A width law that knows no size, such as `PointSpread(2.0)`, has one plan
-            in any case.
+            70 % more time. A Gaussian width law in px, such as `PointSpread(2.0)`, has one plan in
+            any case.
         development: steps of the camera, see `uwaug.Development`; none by default.
         light: lamps and direction of daylight, see `uwaug.Light`; None for that of the medium.
+        view: of the camera, a `uwaug.View` or its angle in degrees. Lamps, the direction of
+            daylight, snow and width laws by focal length follow it.
 
     A state (`state_dict`) holds the medium: loaded, the blur is planned for it, and a state of
     another width law is refused. All other arguments are the module's own.
@@ -95,6 +99,7 @@ class Underwater(nn.Module):
         sides: tuple[int, int] | None = None,
         development: Development = NEUTRAL,
         light: Light | None = None,
+        view: View | float = WIDE,
     ) -> None:
         super().__init__()
         checks.instance("medium", medium, Medium, "; see Medium.from_water")
@@ -109,6 +114,7 @@ class Underwater(nn.Module):
         self.learnable = bool(learnable)
         self.development = development
         self.light = light
+        self.view = View.of(view)
         self._sides = None if sides is None else sides_of(sides)
         self._warned = False
         self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
@@ -167,15 +173,16 @@ class Underwater(nn.Module):
             result = form(
                 image if image.ndim == 4 else image[None],
                 z,
-                medium.to(dtype=dtype, device=image.device),
-                self.development,
-                color_space=self.color_space,
-                light=self.light,
+                self.setting(medium.to(dtype=dtype, device=image.device)),
                 metres=metres,
                 plan=self.plan((image.shape[-2], image.shape[-1])),
                 tolerance=self.tolerance,
             )
         return result[0] if image.ndim == 3 and len(result) == 1 else result
+
+    def setting(self, medium: Medium) -> Setting:
+        """Water, light and camera of the module, for `medium` in place of its own."""
+        return Setting(medium, self.light, self.development, self.view, self.color_space)
 
     def _warn_outside(self, z: Tensor) -> None:
         """Warn, once, if more than 1 % of the pixels lie outside of the planned range; open water
@@ -213,6 +220,10 @@ class Underwater(nn.Module):
         if not self.demand.covers(self._demand_of(medium)):
             self._plan_anew()
 
+    def plans_for(self, medium: Medium) -> bool:
+        """True if the widths of another medium of this law lie within the plan."""
+        return self.demand is None or self.demand.holds(self._demand_of(medium))
+
     def _demand_of(self, medium: Medium, margin: float = 1.0) -> BlurDemand:
         assert self.distance_range is not None
         medium = medium if self.light is None else self.light.planned(medium)
@@ -226,6 +237,7 @@ class Underwater(nn.Module):
             medium.brightened(gain),
             self.distance_range,
             self.tolerance,
+            view=self.view,
             learned=self.learnable,
             margin=margin,
         )
@@ -244,4 +256,6 @@ class Underwater(nn.Module):
             settings += f", {self.development!r}"
         if self.light is not None:
             settings += f", {self.light!r}"
+        if self.view != WIDE:
+            settings += f", {self.view!r}"
         return f"{self.medium!r},\n{blur},\n{settings}"

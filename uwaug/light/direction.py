@@ -19,39 +19,28 @@ benchmarks.accuracy.direction`):
 
 import math
 from collections.abc import Sequence
-from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
-from uwaug.light.rays import Rays
+from uwaug.optics.view import View
 
-T = TypeVar("T", bound=Any)
-
-MAX_RISE = 0.7
+MAX_RISE = math.sqrt(0.5)
 """Sine of the elevation (45°) above which the veil grows no more: there the surface is in view."""
 
 RISE = 0.8
 """Share K_d/G of the attenuation of daylight in that of the veil."""
 
 
-def veil_factor(pitch: float | Tensor | Sequence[float], z: Tensor, view: float) -> Tensor:
-    """Factor of daylight's veil in each row of pictures (B or 1, 1, H, 1).
+def veil_factor(pitch: float | Tensor | Sequence[float], z: Tensor, view: View) -> Tensor:
+    """Factor of daylight's veil on each ray of pictures (B or 1, 1, H, W).
 
     Args:
         pitch (number or B): angle of the camera's axis above the horizon, degrees.
         z (Bx1xHxW tensor): a map of the pictures.
-        view: horizontal angle of view, degrees.
+        view: of the camera.
     """
     angles = torch.as_tensor(pitch).to(z).reshape(-1, 1, 1, 1) * (math.pi / 180)
-    return factor_of(angles.sin(), angles.cos(), Rays.of(z, view).y)
-
-
-def factor_of(sine: T, cosine: T, down: T) -> T:
-    """Factor of the veil where the camera's axis has an elevation of that sine and cosine, and a
-    row that tangent of its angle down from the axis; arrays or tensors that broadcast.
-    """
-    rise: Any = (sine - down * cosine) / (1 + down * down) ** 0.5
-    rise = rise.clip(max=MAX_RISE)
-    factor: T = (1 - RISE * rise) ** -2
-    return factor
+    rays = view.rays(z)
+    rise = (angles.sin() - rays.y * angles.cos()) * rays.shortening
+    return (1 - RISE * rise.clamp(max=MAX_RISE)) ** -2

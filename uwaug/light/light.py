@@ -23,10 +23,10 @@ from torch import Tensor
 from uwaug._support import checks, codec
 from uwaug.light.backscatter import Cone, backscatter
 from uwaug.light.direction import veil_factor
-from uwaug.light.rays import Rays, Vector
 from uwaug.optics.curves import Curves, added, decay, passed
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import white
+from uwaug.optics.view import Rays, Vector, View
 
 LAMP_RADIUS_M = 0.03
 """Distance (m) from a lamp within which its light grows no more."""
@@ -133,7 +133,6 @@ class Light:
     Attributes:
         lamps: any number of `Lamp`.
         daylight: factor of daylight, and of its veil; ≥ 0.
-        view: horizontal angle of view of the camera, degrees, 1…170.
         pitch: angle of the camera's axis above the horizon, degrees, −90…90, or a tensor of one for
             each picture (B), which may require gradients: the veil of daylight is brighter towards
             the surface, see `uwaug.light.direction`. None: alike in all directions, as in the
@@ -150,7 +149,6 @@ class Light:
 
     lamps: tuple[Lamp, ...] = ()
     daylight: float = 1.0
-    view: float = 60.0
     pitch: float | Tensor | Sequence[float] | None = None
 
     def __post_init__(self) -> None:
@@ -162,7 +160,6 @@ class Light:
             checks.instance("lamps", lamp, Lamp)
         object.__setattr__(self, "lamps", tuple(lamps))
         checks.within("daylight", self.daylight, 0.0)
-        checks.within("view", self.view, 1.0, 170.0)
         if isinstance(self.pitch, (tuple, list)):  # a tensor, as it is written
             object.__setattr__(self, "pitch", torch.tensor(self.pitch, dtype=torch.float32))
         if isinstance(self.pitch, Tensor):
@@ -173,7 +170,7 @@ class Light:
             checks.within("pitch", self.pitch, -90.0, 90.0)
             object.__setattr__(self, "pitch", float(cast(float, self.pitch)))
 
-    def curves(self, medium: Medium, z: Tensor, metres: Tensor | None = None) -> Curves:
+    def curves(self, medium: Medium, z: Tensor, view: View, metres: Tensor | None = None) -> Curves:
         """Light of a white scene that reaches the camera at each pixel: unscattered, scattered
         forward, and the veil. In place of `Medium.curves`; gradients pass to distances, medium and
         pitch.
@@ -181,11 +178,12 @@ class Light:
         Args:
             medium: of B or 1 rows, of the type of z.
             z (Bx1xHxW tensor): effective distance, m, finite: times the medium field.
+            view: of the camera.
             metres (Bx1xHxW tensor): the distance itself, if there is a field.
         """
         day = medium.brightened(z.new_full((1, 1), self.daylight)).curves(z)
         if self.pitch is not None:
-            day = day._replace(veil=day.veil * veil_factor(self.pitch, z, self.view))
+            day = day._replace(veil=day.veil * veil_factor(self.pitch, z, view))
         if not self.lamps:
             return day
         density: float | Tensor = 1.0
@@ -194,7 +192,7 @@ class Light:
         else:
             density = density_of(z, metres)
         water = medium.under_lamp()
-        arrives, veil = self.lit(water, Rays.of(metres, self.view), metres, density)
+        arrives, veil = self.lit(water, view.rays(metres), metres, density)
         direct = _dimmed(arrives, _straight(water, z))
         return added(day, Curves(direct, arrives - direct, veil))
 

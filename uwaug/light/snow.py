@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 
 from uwaug.light.light import Light, density_of
-from uwaug.light.rays import Rays
 from uwaug.optics.curves import Curves
 from uwaug.optics.medium import Medium
+from uwaug.optics.view import Rays, View
 
 _EDGE_PX = 0.75
 """Softness (px) of an edge to either side: half the diagonal of a pixel, and a lens."""
@@ -40,17 +40,20 @@ class Flakes(NamedTuple):
 
 
 def flakes(
-    medium: Medium, light: Light | None, z: Tensor, metres: Tensor | None, n: int
+    medium: Medium, light: Light | None, z: Tensor, view: View, metres: Tensor
 ) -> Flakes | None:
-    """Particles before picture `n` of a batch; arguments as for `snowing`."""
-    snow = medium.snow[n % len(medium)]
+    """Particles before one picture; arguments as for `snowing`, of one row, maps 1xHxW."""
+    snow = medium.snow[0]
     if snow is None:
         return None
     light = Light() if light is None else light
-    z, height, width = z[n % len(z)], z.shape[-2], z.shape[-1]
-    scene = z if metres is None else metres[n % len(metres)]
-    right = math.tan(math.radians(light.view / 2))
-    down, focal = right * height / width, width / 2 / right
+    height, width = z.shape[-2:]
+    focal, middle = view.focal(width), view.middle((height, width))
+    # of a view whose axis lies aside, the part to one side of it stands for both
+    right, down = (
+        max(at + 0.5, side - 0.5 - at) / focal
+        for at, side in zip(middle, (width, height), strict=True)
+    )
     particles = snow.particles(right, down)
     if not len(particles.z):
         return None
@@ -68,7 +71,7 @@ def flakes(
     slim, cosine, sine = (ends[0] / ends[1]) ** 2, np.cos(turn), np.sin(turn)
     columns = (
         *(x, y, 1 / length, flux),
-        *(focal * x + (width - 1) / 2, focal * y + (height - 1) / 2),
+        *(focal * x + middle[0], focal * y + middle[1]),
         *(inner.clip(0), ends[0]),
         *(cosine**2 + slim * sine**2, 2 * (1 - slim) * sine * cosine, sine**2 + slim * cosine**2),
         particles.z * length,
@@ -76,17 +79,24 @@ def flakes(
     values = z.new_tensor(np.stack(columns))
     directions, fluxes, places = values[:3], values[3], values[4:]
     column, row = (
-        t.round().long().clamp(0, n - 1) for t, n in zip(places, (width, height), strict=False)
+        t.round().long().clamp(0, side - 1)
+        for t, side in zip(places, (width, height), strict=False)
     )
-    density = density_of(z[0, row, column], scene[0, row, column])
+    density = density_of(z[0, row, column], metres[0, row, column])
     rays = Rays(*(t.reshape(1, 1, 1, -1) for t in directions))
     distance = places[-1].reshape(1, 1, 1, -1)
-    white = light.on_white(medium[n % len(medium)], distance * density, distance, rays)
+    white = light.on_white(medium, distance * density, distance, rays)
     return Flakes(places, fluxes * white[0, :, 0])
 
 
 def snowing(
-    T: Curves | None, medium: Medium, light: Light | None, z: Tensor, metres: Tensor | None = None
+    T: Curves | None,
+    medium: Medium,
+    light: Light | None,
+    z: Tensor,
+    view: View,
+    metres: Tensor | None = None,
+    J: Tensor | None = None,
 ) -> Curves | None:
     """Add the light of the medium's particles to the veil of a picture's curves.
 
@@ -94,20 +104,20 @@ def snowing(
         T: curves from `Light.curves`; None for those of the medium.
         medium: of B or 1 rows.
         light: lamps; None for daylight.
-        z, metres (Bx1xHxW tensors): as for `Light.curves`.
+        z, view, metres: as for `Light.curves`.
+        J (Bx3xHxW tensor): pictures that may share a map and a medium.
     """
     if not medium.snow:
         return T
     if torch.compiler.is_compiling():
         raise RuntimeError("marine snow cannot be compiled: take medium.with_snow(None)")
     T = medium.curves(z) if T is None else T
-    layers = []
-    for n in range(max(len(z), len(medium))):
-        particles = flakes(medium, light, z, metres, n)
+    layers, metres = [], z if metres is None else metres
+    for n in range(max(len(z), len(medium), 1 if J is None else len(J))):
+        scene = metres[n % len(metres)]
+        particles = flakes(medium[n % len(medium)], light, z[n % len(z)], view, scene)
         layer = T.veil.new_zeros(3, *z.shape[-2:])
-        if particles is not None:
-            layer = splat(particles, (z if metres is None else metres)[n % len(z)])
-        layers.append(layer)
+        layers.append(layer if particles is None else splat(particles, scene))
     return T._replace(veil=T.veil + torch.stack(layers))
 
 

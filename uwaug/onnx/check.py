@@ -150,10 +150,7 @@ def _exact(
         return form(
             inputs["image"].double(),
             effective_distance(inputs["distance"], None, torch.float64),
-            medium.to(torch.float64),
-            module.development,
-            color_space=module.color_space,
-            light=light,
+            replace(module.setting(medium.to(torch.float64)), light=light),
             plan=plan_of(module),
             normals=None if normals is None else normals.double(),
         )
@@ -225,22 +222,21 @@ def _unrelated_media(medium: Medium) -> list[Medium]:
         rates = torch.linspace(0.1, 1.0, count, dtype=torch.float64)[None]
         of_channel = torch.linspace(0.6, 1.0, 3, dtype=torch.float64)[None, :, None]
         weights = of_channel.expand(1, 3, count) / count
-        law = replace(medium.point_spread, scale=scale, exponent=exponent)
         signal = weights
         if medium.is_spectral:  # some of them negative
             mixing = 1.4 * torch.eye(3, dtype=torch.float64) - 0.2
             signal = mixing[:, :, None] * weights[:, None]
         return replace(
-            medium[0].to(torch.float64),
+            medium[0].without_lamps().to(torch.float64),
             beta=rates,
             direct_weights=signal,
             G=0.4 * rates,
             signal_weights=signal,
             veil_weights=0.3 * weights,
             b_mean=rates.new_tensor([0.7]),
-            point_spread=law,
+            scale=rates.new_tensor([scale * float(medium.scale.max())]),
+            exponent=rates.new_tensor([exponent]),
             notes=("check",),
-            bands=(),
         )
 
     return [unrelated(1, 1.5, 1.0), unrelated(5, 2.5, 0.6)]

@@ -4,10 +4,10 @@ import json
 import logging
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +27,9 @@ from uwaug.formation.underwater import Underwater
 from uwaug.light import Lamp, Light
 from uwaug.onnx.blurs import Blurs
 from uwaug.onnx.check import check_onnx, plan_of
-from uwaug.onnx.run import OF_LAMPS, coefficients_of, described
+from uwaug.onnx.run import coefficients_of, described
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
 
 _OPSET = 18
 """Operator set of the file, the first that can add scattered values."""
@@ -122,14 +121,8 @@ def _require_exportable(module: Underwater, coefficients: bool) -> None:
         raise ValueError(f"module has marine snow, which no file can draw: {cure}")
 
 
-@dataclass(frozen=True, eq=False)
 class _Traced(Medium):
-    """Medium in a graph, with what `under_lamp` changes, which a trace cannot compute."""
-
-    lamplit: Mapping[str, Any] = field(default_factory=dict)
-
-    def under_lamp(self) -> Medium:
-        return replace(self, **self.lamplit)
+    """Medium in a graph."""
 
     def _any_at_lens(self, z: Tensor) -> bool:
         return False  # ONNX has no expm1, by which digits would be kept
@@ -165,38 +158,30 @@ class Graph(nn.Module):
     def __init__(self, module: Underwater, plan: BlurPlan) -> None:
         super().__init__()
         self.plan, self.blur = plan, Blurs(plan)
-        medium = module.medium.map(lambda t: t.detach().to("cpu", torch.float32))
-        self.medium, self.development, self.light = medium, module.development, module.light
-        tensors = coefficients_of(medium, self.light).items()
-        self.tensors = {name: torch.from_numpy(row) for name, row in tensors}
-        self.color_space = module.color_space
+        self.setting = module.setting(module.medium)
+        numbers = coefficients_of(module.medium, module.light).items()
+        self.coefficients = {name: torch.from_numpy(row) for name, row in numbers}
+        tensors = module.medium.named_tensors().items()
+        self.constants = {n: t.detach().to("cpu", torch.float32) for n, t in tensors}
 
     def forward(self, *values: Tensor) -> Tensor:
         """Form a picture from image (Bx3xHxW), distance (Bx1xHxW), noise (Bx3xHxW) if there is a
         sensor, and the tensors of `coefficients_of` if they are inputs.
         """
-        image, distance, *coefficients = values
+        image, distance, *inputs = values
         normals = None
-        if self.development.noise is not None:
-            normals, *coefficients = coefficients
-        named: dict[str, Any] = dict(self.tensors)
-        if coefficients:
-            named = dict(zip(self.tensors, coefficients, strict=True))
-        lamplit = {name: named.pop(f"lamp_{name}") for name in OF_LAMPS if "lamp_light" in named}
-        light = _traced_light(self.light, named.pop("lamp_light", None), named.pop("pitch", None))
-        law = replace(
-            self.medium.point_spread,
-            **{name: named.pop(name) for name in PointSpread.NUMBERS if coefficients},
-        )
-        tensors = {name: named[name] for name in Medium.TENSORS}
-        medium = _Traced(**tensors, point_spread=law, lamplit=lamplit)
+        if self.setting.development.noise is not None:
+            normals, *inputs = inputs
+        named: dict[str, Any] = {**self.constants, **self.coefficients}
+        if inputs:
+            named = dict(zip(self.coefficients, inputs, strict=True))
+        sent, pitch = named.pop("lamp_light", None), named.pop("pitch", None)
+        light = _traced_light(self.setting.light, sent, pitch)
+        medium = _Traced(**named, law=self.setting.medium.law)
         return form(
             image,
             distance.clamp(0.0, FARTHEST),
-            medium,
-            self.development,
-            color_space=self.color_space,
-            light=light,
+            replace(self.setting, medium=medium, light=light),
             plan=self.plan,
             blur=self.blur,
             normals=normals,
@@ -210,9 +195,9 @@ def _examples(graph: Graph, coefficients: bool) -> dict[str, tuple[Tensor, dict[
     image = torch.rand(2, 3, 41, 57, dtype=torch.float32)
     free = {0: dims["B"], 2: dims["H"], 3: dims["W"]}
     examples = {"image": (image, free), "distance": (torch.ones_like(image[:, :1]), free)}
-    if graph.development.noise is not None:
+    if graph.setting.development.noise is not None:
         examples["noise"] = torch.randn_like(image), free
-    for name, rows in graph.tensors.items() if coefficients else ():
+    for name, rows in graph.coefficients.items() if coefficients else ():
         row, free = rows[:1], {0: dims["B"]}
         axis = described(name).partition(",")[0][-1]
         if axis in "KLMN":
@@ -273,6 +258,7 @@ def _metadata(module: Underwater, plan: BlurPlan, coefficients: bool) -> dict[st
         "sides": module.sides,
         "development": module.development,
         "light": module.light,
+        "view": module.view,
     }
     return {
         "uwaug_version": __version__,

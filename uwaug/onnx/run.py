@@ -20,9 +20,6 @@ from uwaug.light import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import as_matrices
 
-OF_LAMPS = ("beta", "direct_weights", "G", "signal_weights", "veil_weights")
-"""Tensors of `Medium.under_lamp` that are inputs of a file with lamps, named lamp_…"""
-
 INPUTS = {
     "image": "Bx3xHxW, linear light or sRGB, see uwaug_module; 0…1, red, green, blue",
     "distance": "Bx1xHxW, metres along the ray, ≥ 0; +inf is open water",
@@ -33,7 +30,7 @@ INPUTS = {
     "signal_weights": "Bx3xL, weights of T_G, as direct_weights",
     "veil_weights": "Bx3xL, weights of V for each channel",
     "b_mean": "B, scattering coefficient of the width law, 1/m",
-    "scale": "B, width of the blur at one scattering length, px of the law's reference size",
+    "scale": "B, width of the blur at one scattering length, in units of the law",
     "exponent": "B, of the width law",
     "lamp_beta": "BxM, rates of the direct light of lamps, 1/m, ≥ 0",
     "lamp_direct_weights": "Bx3xM, its weights, as direct_weights",
@@ -91,10 +88,10 @@ def coefficients_of(medium: Medium, light: Light | None = None) -> dict[str, Arr
     `coefficients=True`: float32, a row for each medium, shapes as `INPUTS` says. The numbers of
     rates are free.
     """
-    tensors = medium.parameters()
+    has_lamps = light is not None and bool(light.lamps)
+    tensors = (medium.lamplit() if has_lamps else medium.without_lamps()).named_tensors()
+    tensors = {name: tensor for name, tensor in tensors.items() if 0 not in tensor.shape}
     if light is not None and light.lamps:
-        water = medium.under_lamp()
-        tensors |= {f"lamp_{name}": getattr(water, name) for name in OF_LAMPS}
         sent = torch.tensor([[lamp.power * part for part in lamp.color] for lamp in light.lamps])
         tensors["lamp_light"] = sent.expand(len(medium), -1, -1)
     if light is not None and light.pitch is not None:
@@ -199,20 +196,22 @@ class OnnxUnderwater:
         if light is not None and _geometry(light) != _geometry(self.module.light):
             kind = f"lamps of other power and color, and another pitch, in {self.module.light}"
             raise ValueError(f"light: the file takes {kind}; got {light}")
-        law, wanted = medium.point_spread, self.module.medium.point_spread
-        if (law.shape, law.reference_size) != (wanted.shape, wanted.reference_size):
-            kind = f"shape {wanted.shape!r} and reference_size {wanted.reference_size}"
-            raise ValueError(f"medium: its point spread is {law}, but the file is for {kind}")
+        if medium.snow:
+            raise ValueError("medium has marine snow, which no file can draw: with_snow(None)")
+        law, wanted = medium.law, self.module.medium.law
+        if law != wanted:
+            raise ValueError(f"medium: its law of widths must be {wanted}, got {law}")
+        if not self.module.plans_for(medium):
+            cure = "export a module of this water, too: Underwater(Medium.stack(…))"
+            raise ValueError(f"medium: its widths lie beyond the plan of the file; {cure}")
         numbers = coefficients_of(medium, light or self.module.light)
         rows = {name: torch.from_numpy(x) for name, x in numbers.items()}
-        if self.module.medium.is_spectral:
-            of_scene = [name for name, axes in Medium.TENSORS.items() if "S" in axes]
-            of_scene += [f"lamp_{name}" for name in of_scene if "lamp_light" in rows]
-            rows |= {name: as_matrices(rows[name]) for name in of_scene}
-        elif medium.is_spectral:
+        own = coefficients_of(self.module.medium, self.module.light)
+        if any(rows[name].ndim > own[name].ndim for name in rows):
             got = "the file is for grey surfaces, got a medium of surfaces with spectra"
             raise ValueError(f"medium: {got}")
-        return rows
+        mixing = [name for name in rows if rows[name].ndim < own[name].ndim]
+        return rows | {name: as_matrices(rows[name]) for name in mixing}
 
 
 def _geometry(light: Light | None) -> Any:
@@ -220,7 +219,7 @@ def _geometry(light: Light | None) -> Any:
     if light is None:
         return None
     lamps = tuple(replace(lamp, power=1.0, color=(1.0, 1.0, 1.0)) for lamp in light.lamps)
-    return lamps, light.daylight, light.view, light.pitch is None
+    return lamps, light.daylight, light.pitch is None
 
 
 def _tensor(value: Any) -> Any:

@@ -6,5 +6,6 @@ from .medium import Medium as Medium
 from .point_spread import PointSpread as PointSpread
 from .scattering import Scattering as Scattering
 from .snow import MarineSnow as MarineSnow
+from .view import View as View
 from .water import Water as Water
 from .water import load_water as load_water

@@ -18,7 +18,7 @@ distance.
     T_β,c(z) = ∫ S_c·E·e^(−β z) dλ  ≈ Σ_k w_ck e^(−β_k z)    light that arrives unscattered
     T_G,c(z) = ∫ S_c·E·e^(−G z) dλ  ≈ Σ_l s_cl e^(−G_l z)    the same, and scattered forward
     V_c(z) = ∫ S_c·V(0)·e^(−G z) dλ ≈ Σ_l v_cl e^(−G_l z)    the veil is V(0) − V(z)
-    σ(z) = scale·(b̄ z)^exponent                              width of the forward scatter, px
+    σ(z) = scale·(b̄ z)^exponent                              width of the forward scatter
 
 With surfaces that have spectra, T_β and T_G are matrices from channel j of the scene to channel c,
 with S_c·ρ_j for S_c. S is the response of the camera with its colour matrix, which may be negative
@@ -42,26 +42,31 @@ from typing import Any, ClassVar, get_args
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
-from uwaug._support.codec import plain
-from uwaug.optics.bands import Bands, Lamplit, padded
+from uwaug._support.codec import from_plain, plain
+from uwaug._support.types import Array
 from uwaug.optics.camera import Camera, load_camera, require_covered, response_at
 from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves, mix
-from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.reduction import attenuations, default_bands, reduced
+from uwaug.optics.point_spread import Law, PointSpread, width_at
+from uwaug.optics.reduction import attenuations, default_bands, reduced, reduced_curves
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.snow import MarineSnow
 from uwaug.optics.surfaces import (
     Surfaces,
     as_matrices,
     measure,
+    nine_rows,
     reflectances,
+    row_of,
     through_camera,
     white,
 )
+from uwaug.optics.view import Size, View
 from uwaug.optics.water import Water, load_water
+from uwaug.optics.weights import Weights
 
 _OF_COEFFICIENTS = "coefficients: one rate per channel"
 
@@ -78,6 +83,12 @@ _BRIGHT_VEIL = 1.05
 """V(0) above which the notes say that the veil is brighter than a white plate."""
 
 
+_PIXELS = Law()
+
+_ABSENT = torch.zeros(())
+"""One number for all, of which a medium makes a tensor of the right shape."""
+
+
 @plain
 @dataclass(frozen=True, eq=False)
 class Medium:
@@ -90,9 +101,12 @@ class Medium:
         signal_weights (Bx3xL or Bx3x3xL tensor): weights of T_G.
         veil_weights (Bx3xL tensor): weights of V; their sum is the veil at infinite distance.
         b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
-        point_spread: the width law.
+        scale, exponent (B tensors): numbers of the width law, see `PointSpread`.
+        lamp_beta (BxM tensor), lamp_direct_weights (Bx3xM or Bx3x3xM), lamp_G (BxN),
+            lamp_signal_weights (Bx3xN or Bx3x3xN), lamp_veil_weights (Bx3xN): the same in the light
+            of a lamp, see `under_lamp`; without rates where they follow from the others.
+        law: shape and unit of the width law.
         notes: a line on each medium.
-        bands: each medium at each wavelength, for lamps; empty if only the sums are known.
         snow: particles of each medium, see `with_snow`; empty if none has any.
     """
 
@@ -103,10 +117,18 @@ class Medium:
         "signal_weights": "BCSL",
         "veil_weights": "BCL",
         "b_mean": "B",
+        "scale": "B",
+        "exponent": "B",
+        "lamp_beta": "BM",
+        "lamp_direct_weights": "BCTM",
+        "lamp_G": "BN",
+        "lamp_signal_weights": "BCTN",
+        "lamp_veil_weights": "BCN",
     }
-    """The tensors and their axes: B media, K rates of the direct term, L of signal and veil, C
-    channels of the picture, and of surfaces with spectra S channels of the scene. All code that
-    copies, stacks, brightens, learns, stores or exports media goes by it.
+    """The tensors and their axes: B media, K rates of the direct term, L of signal and veil, M and
+    N of these under lamps, C channels of the picture, and of surfaces with spectra S channels of
+    the scene, T under lamps. All code that copies, stacks, brightens, learns, stores or exports
+    media goes by it.
     """
 
     beta: Tensor
@@ -115,24 +137,31 @@ class Medium:
     signal_weights: Tensor
     veil_weights: Tensor
     b_mean: Tensor
-    point_spread: PointSpread
+    scale: Tensor = _ABSENT
+    exponent: Tensor = _ABSENT + 1
+    lamp_beta: Tensor = _ABSENT
+    lamp_direct_weights: Tensor = _ABSENT
+    lamp_G: Tensor = _ABSENT  # noqa: N815
+    lamp_signal_weights: Tensor = _ABSENT
+    lamp_veil_weights: Tensor = _ABSENT
+    law: Law = _PIXELS
     notes: tuple[str, ...] = ()
-    bands: tuple[Bands | Lamplit, ...] = ()
     snow: tuple[MarineSnow | None, ...] = ()
 
     def __post_init__(self) -> None:
-        sizes = {"B": self.beta.shape[0], "K": self.beta.shape[-1], "L": self.G.shape[-1], "C": 3}
-        if self.is_spectral:
-            sizes["S"] = 3
+        rates = {"K": self.beta, "L": self.G, "M": self.lamp_beta, "N": self.lamp_G}
+        sizes = {axis: t.shape[-1] if t.ndim else 0 for axis, t in rates.items()}
+        sizes |= {"B": self.beta.shape[0], "C": 3}
+        of_scene = {"S": self.direct_weights, "T": self.lamp_direct_weights}
+        sizes |= {axis: 3 for axis, weights in of_scene.items() if weights.ndim == 4}
         for name, axes in self.TENSORS.items():
             tensor = getattr(self, name)
             shape = tuple(map(sizes.__getitem__, filter(sizes.__contains__, axes)))
-            if tensor.ndim == 0:  # one number for all, as a default of a new field
+            if tensor.ndim == 0:
                 object.__setattr__(self, name, tensor.to(self.beta).expand(shape))
             elif tuple(tensor.shape) != shape:
                 got = tuple(tensor.shape)
                 raise ValueError(f"Medium.{name} must have shape {shape}, got {got}")
-        self.point_spread.require_rows(sizes["B"])
 
     @staticmethod
     def of_plain(**values: Any) -> "Medium":
@@ -140,6 +169,8 @@ class Medium:
         of the arguments of `from_coefficients`.
         """
         if "direct_weights" not in values:
+            if "point_spread" in values:
+                values["point_spread"] = from_plain(values["point_spread"], PointSpread)
             return Medium.from_coefficients(**values)
         stored = values.keys() & Medium.TENSORS
         tensors = {name: torch.tensor(values[name], dtype=torch.float64) for name in stored}
@@ -195,7 +226,7 @@ class Medium:
         checks.one_of("surfaces", surfaces, get_args(Surfaces))
         law = PointSpread.paper() if point_spread is None else point_spread
         options = (vertical_depth, g, mu, law, surfaces == "spectral", color_matrix, tolerance)
-        return Medium.of_spectra(water, load_camera(camera), *options)
+        return Medium.of_spectra(water, load_camera(camera), *options, lamps=True)
 
     @staticmethod
     def of_spectra(
@@ -208,8 +239,12 @@ class Medium:
         is_spectral: bool,
         color_matrix: float,
         tolerance: float,
+        *,
+        lamps: bool,
     ) -> "Medium":
-        """Reduce spectra as `from_water`, whose checks and defaults come before."""
+        """Reduce spectra as `from_water`, whose checks and defaults come before; for the light of
+        lamps, too, if there are any.
+        """
         spectra = water.at(default_bands(water))
         axis, b = spectra.wavelengths, spectra.b
         require_covered(camera, float(axis[0]), float(axis[-1]))
@@ -221,20 +256,37 @@ class Medium:
         beta, G = attenuations(spectra.a, b, g)
         light = np.exp(-spectra.kd * vertical_depth)
         veil = mu * b * light / G
-        tensors, error = reduced(beta, G, light, veil, response, basis, tolerance)
+        arrays, error = reduced(beta, G, light, veil, response, basis, tolerance)
         note = (
-            f"{water.name}: {tensors['beta'].shape[1]} + {tensors['G'].shape[1]} rates, curves "
+            f"{water.name}: {len(arrays['beta'])} + {len(arrays['G'])} rates, curves "
             f"within {error:.1g} at any distance, {vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
             + (", surfaces = spectral" if is_spectral else "")
         )
         brightest = float((response @ veil).max())
         if brightest > _BRIGHT_VEIL:
             note += f"; veil of {brightest:.2g} times white"
-        b_mean = torch.from_numpy((sensor @ b).mean(keepdims=True))
-        bands = Bands(beta, G, b, response, measure(response, basis), tolerance)
-        return Medium(
-            **tensors, b_mean=b_mean, point_spread=law, notes=(note,), bands=(bands,), snow=()
-        )
+        if lamps:
+            # b over its mean is about 1, so that the tolerance is relative to it
+            b_scale = float(b.mean()) or 1.0
+            scatter = response * b / b_scale
+            lit, _ = reduced_curves(beta, G, measure(response, basis), scatter, tolerance)
+            lit["veil_weights"] = b_scale * lit["veil_weights"]
+            arrays |= {f"lamp_{name}": array for name, array in lit.items()}
+        numbers = {"b_mean": (sensor @ b).mean(), "scale": law.scale, "exponent": law.exponent}
+        arrays |= {name: np.array(number) for name, number in numbers.items()}
+        return Medium.of_arrays(arrays, law.law, note)
+
+    @staticmethod
+    def of_arrays(arrays: Mapping[str, Array], law: Law, note: str) -> "Medium":
+        """A medium of one row, of the arrays of its tensors, whose memory it shares; weights of
+        matrices have nine rows.
+        """
+        tensors: dict[str, Any] = {name: row_of(array) for name, array in arrays.items()}
+        medium = Medium(**tensors, law=law, notes=(note,))
+        if len(arrays["direct_weights"]) == 9:  # else they are no memory of the tensors
+            names = tuple(Medium.TENSORS)[:8]
+            vars(medium)["_weights"] = Weights(*(arrays[name][None] for name in names))
+        return medium
 
     @staticmethod
     def from_coefficients(
@@ -270,6 +322,7 @@ class Medium:
             got = f"G = {G.tolist()} and beta = {beta.tolist()}"
             raise ValueError(f"G must be beta at most, as scatter adds to it: got {got}")
         weights = torch.diag_embed(rows["light"])
+        law = PointSpread.none() if point_spread is None else point_spread
         return Medium(
             beta=beta,
             direct_weights=weights,
@@ -277,7 +330,9 @@ class Medium:
             signal_weights=weights,
             veil_weights=torch.diag_embed(rows["veil"]),
             b_mean=b,
-            point_spread=PointSpread.none() if point_spread is None else point_spread,
+            scale=b.new_full((len(b),), law.scale),
+            exponent=b.new_full((len(b),), law.exponent),
+            law=law.law,
             notes=(_OF_COEFFICIENTS,) * len(b),
         )
 
@@ -294,16 +349,18 @@ class Medium:
             checks.instance("media", medium, Medium, "; see Medium.from_water")
         if not media:
             raise ValueError("media is empty: stack needs at least one Medium")
-        rows = [len(medium) for medium in media]
-        law = PointSpread.stack([m.point_spread for m in media], rows, media[0].beta.dtype)
+        laws = {medium.law for medium in media}
+        if len(laws) > 1:
+            got = ", ".join(sorted(map(str, laws)))
+            raise ValueError(f"media must share one law of point spreads, got {got}")
+        if any(medium.knows_lamps for medium in media):
+            media = [medium.lamplit() for medium in media]
         tensors = {name: padded([getattr(m, name) for m in media]) for name in Medium.TENSORS}
         notes = sum((medium.notes for medium in media), ())
-        banded = all(medium.bands for medium in media)
-        bands = sum((medium.bands for medium in media), ()) if banded else ()
         snow: tuple[MarineSnow | None, ...] = ()
         if any(medium.snow for medium in media):
             snow = sum((medium.snow or (None,) * len(medium) for medium in media), ())
-        return Medium(**tensors, point_spread=law, notes=notes, bands=bands, snow=snow)
+        return Medium(**tensors, law=media[0].law, notes=notes, snow=snow)
 
     def with_snow(self, snow: MarineSnow | None) -> "Medium":
         """The same water with particles that a camera sees one by one; None takes them out."""
@@ -321,27 +378,20 @@ class Medium:
         part = i if isinstance(i, slice) else slice(index(i), index(i) + 1 or None)
         if not range(len(self))[part]:
             raise IndexError(f"medium {i!r} of {len(self)}")
-        rows = self.map(lambda t: t[part] if t.ndim else t)
-        return replace(rows, notes=self.notes[part], bands=self.bands[part], snow=self.snow[part])
+        rows = self.map(lambda t: t[part])
+        return replace(rows, notes=self.notes[part], snow=self.snow[part])
 
     def expand(self, rows: int) -> "Medium":
         """One medium as a batch of `rows` equal ones; a batch stays as it is."""
         if rows == 1 or len(self) != 1:  # in a graph their number is unknown
             return self
         wide = self.map(lambda t: t.expand(rows, *t.shape[1:]))
-        rest = {name: getattr(self, name) * rows for name in ("notes", "bands", "snow")}
-        return replace(wide, **rest)
+        return replace(wide, notes=self.notes * rows, snow=self.snow * rows)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Medium":
-        """Apply a function to each tensor, those of the width law included."""
-        tensors: dict[str, Any] = {name: function(getattr(self, name)) for name in self.TENSORS}
-        return replace(self, **tensors, point_spread=self.point_spread.map(function))
-
-    @staticmethod
-    def of_tensors(tensors: Iterable[Tensor], point_spread: PointSpread) -> "Medium":
-        """Make a medium of its `tensors` and a width law."""
-        named: dict[str, Any] = dict(zip(Medium.TENSORS, tensors, strict=True))
-        return Medium(**named, point_spread=point_spread)
+        """Apply a function to each tensor."""
+        tensors: dict[str, Any] = {name: function(x) for name, x in self.named_tensors().items()}
+        return replace(self, **tensors)
 
     def to(self, *args: Any, **kwargs: Any) -> "Medium":
         """Move or cast, as `torch.Tensor.to`."""
@@ -351,13 +401,22 @@ class Medium:
         return self
 
     def tensors(self) -> tuple[Tensor, ...]:
-        """Rates, weights and b̄, in the order of `TENSORS`."""
+        """The tensors, in the order of `TENSORS`."""
         return tuple([getattr(self, name) for name in self.TENSORS])
 
-    def parameters(self) -> dict[str, Tensor]:
-        """Tensors of the medium and scale and exponent (B,) of the width law, by name."""
-        tensors = {name: getattr(self, name) for name in self.TENSORS}
-        return tensors | self.point_spread.rows(len(self), self.beta)
+    def named_tensors(self) -> dict[str, Tensor]:
+        """The tensors by name."""
+        return dict(zip(self.TENSORS, self.tensors(), strict=True))
+
+    def weights(self) -> Weights:
+        """The medium as arrays, which share its memory where they can."""
+        reduced: Weights | None = vars(self).get("_weights")
+        if reduced is not None:
+            return reduced
+        arrays = (x.detach().cpu().double().contiguous().numpy() for x in self.tensors()[:8])
+        beta, direct, G, signal, veil, *width = arrays
+        direct, signal = (nine_rows(x.reshape(len(x), -1, x.shape[-1])) for x in (direct, signal))
+        return Weights(beta, direct, G, signal, veil, *width)
 
     @property
     def is_spectral(self) -> bool:
@@ -386,14 +445,13 @@ class Medium:
         beta = rate(self.direct_weights, self.beta)
         weights = torch.diag_embed(light.clamp(min=0.0))
         return replace(
-            self,
+            self.without_lamps(),
             beta=beta,
             direct_weights=weights,
             G=rate(self.signal_weights, self.G).minimum(beta),
             signal_weights=weights,
             veil_weights=torch.diag_embed(self.veil_weights.sum(-1).clamp(min=0.0)),
             notes=(_OF_COEFFICIENTS,) * len(self),
-            bands=(),
         )
 
     def ambient(self) -> Tensor:
@@ -402,8 +460,8 @@ class Medium:
 
     @property
     def requires_grad(self) -> bool:
-        """True if a tensor, those of the width law included, records gradients."""
-        return checks.records(*self.tensors()) or self.point_spread.requires_grad
+        """True if a tensor records gradients."""
+        return checks.records(*self.tensors())
 
     def sums(self, *, exact_at_lens: bool) -> Sums:
         """The three curves as sums of exponentials, for `uwaug.optics.curves.curves`.
@@ -445,18 +503,15 @@ class Medium:
             T_G,c(z) = ∫ S_c·e^(−G z) dλ        the same, and scattered forward
             b_c(x) = ∫ S_c·b·e^(−G x) dλ        scattered by a metre of water, seen after x metres
 
-        Without bands, as in a medium that learns, the medium's rates and shares of light stand for
-        these curves, and b̄ for b.
+        Where `lamp_…` has no rates, as in a medium that learns, the medium's rates and shares of
+        light stand for these curves, and b̄ for b.
 
         Returns:
             A medium whose `veil_weights` are those of b_c, 1/m.
         """
-        if self.bands:
-            media = [bands.under_lamp for bands in self.bands]
-            tensors: dict[str, Any] = {
-                name: padded([medium[name] for medium in media]).to(self.beta) for name in media[0]
-            }
-            return replace(self, **tensors, bands=())
+        if self.knows_lamps:
+            lit: dict[str, Any] = {name: getattr(self, f"lamp_{name}") for name in OF_LAMPS}
+            return replace(self.without_lamps(), **lit)
         light = self.ambient().clamp(min=_MIN_LIGHT)
         light = light.reshape(len(self), 3, *[1] * (self.signal_weights.ndim - 2))
         signal = self.signal_weights / light
@@ -466,6 +521,24 @@ class Medium:
             signal_weights=signal,
             veil_weights=white(signal) * self.b_mean[:, None, None],
         )
+
+    @property
+    def knows_lamps(self) -> bool:
+        """True if the medium has rates of its own under lamps."""
+        return self.lamp_G.shape[-1] > 0
+
+    def without_lamps(self) -> "Medium":
+        """The medium without rates of its own under lamps."""
+        absent: dict[str, Any] = {f"lamp_{name}": _ABSENT for name in OF_LAMPS}
+        return replace(self, **absent)
+
+    def lamplit(self) -> "Medium":
+        """The medium with rates of its own under lamps."""
+        if self.knows_lamps:
+            return self
+        water = self.under_lamp()
+        lit: dict[str, Any] = {f"lamp_{name}": getattr(water, name) for name in OF_LAMPS}
+        return replace(self, **lit)
 
     def curves(self, z: Tensor) -> Curves:
         """T_β, T_G − T_β and V(0) − V at effective distances (Bx1xHxW), m, finite, ≥ 0."""
@@ -542,32 +615,69 @@ class Medium:
         """The medium as seen by a camera that multiplies light by `gain`: a number (B or 1), a
         number for each channel (B or 1, 3), or a matrix that mixes channels (B or 1, 3, 3).
         """
-        wide, gain = self.expand(len(gain)), gain.to(self.beta)
+        wide, gain = self.lamplit().expand(len(gain)), gain.to(self.beta)
         gained: dict[str, Any] = {}
         for name, axes in self.TENSORS.items():
             weights = getattr(wide, name)
             if "C" in axes and gain.ndim == 3:
-                weights = as_matrices(weights) if "S" in axes else weights
+                weights = as_matrices(weights) if {"S", "T"} & {*axes} else weights
                 mixed = gain @ weights.reshape(len(weights), 3, -1)
                 gained[name] = mixed.reshape(-1, *weights.shape[1:])
             elif "C" in axes:
                 gained[name] = gain.reshape(len(gain), -1, *[1] * (weights.ndim - 2)) * weights
         return replace(wide, **gained)
 
-    def width(self, z: Tensor, size: tuple[int, int] | None) -> Tensor:
-        """σ(z), px, at distances (B or 1, 1, H, W) in an image of (height, width) `size`; without a
-        size, in px of the law's reference size.
-        """
-        lengths = self.b_mean.reshape(-1, 1, 1, 1).to(z) * z.clamp(max=FARTHEST)
-        width: Tensor = self.point_spread.sigma(lengths, size)
-        return width
+    def in_pixels(self, size: Size, view: View) -> "Medium":
+        """The medium whose widths are px of an image of (height, width) `size`."""
+        if self.law.unit == "px":
+            return self
+        scale = self.scale * self.law.pixels(size, view)
+        return replace(self, scale=scale, law=replace(self.law, unit="px"))
+
+    def width(self, z: Tensor) -> Tensor:
+        """σ(z) at distances (B or 1, 1, H, W), m, in units of the law."""
+        b_mean, scale, exponent = (
+            getattr(self, name).reshape(-1, 1, 1, 1).to(z) for name in _OF_WIDTHS
+        )
+        return width_at(b_mean * z.clamp(max=FARTHEST), scale, exponent)
+
+    @property
+    def width_law(self) -> str:
+        """The law of the widths and its numbers, in words."""
+        if not bool((self.scale != 0).any()):
+            return "no blur"
+        unit = {"paper": "px at 518 px short side", "focal": "focal lengths"}.get(
+            self.law.unit, "px"
+        )
+        scale, exponent = _short(self.scale), _short(self.exponent)
+        return f"{self.law.shape} σ = {scale}·(b̄ z)^{exponent} {unit}"
 
     def __repr__(self) -> str:
         more = f", and {len(self) - 1} more" if len(self) > 1 else ""
-        b_mean = ", ".join(f"{float(b):.3g}" for b in self.b_mean.detach()[:3])
-        cut = ", …" if len(self) > 3 else ""
         note = self.notes[0] if self.notes else "of numbers"
-        return f"Medium({note}{more}; {self.point_spread}, b̄ = {b_mean}{cut}/m)"
+        return f"Medium({note}{more}; {self.width_law}, b̄ = {_short(self.b_mean)}/m)"
+
+
+OF_LAMPS = tuple(name[5:] for name in Medium.TENSORS if name.startswith("lamp_"))
+"""Tensors that a medium has twice, for daylight and for lamps."""
+
+_OF_WIDTHS = ("b_mean", "scale", "exponent")
+
+
+def _short(numbers: Tensor) -> str:
+    """The first numbers of a tensor (B), in words."""
+    words = [f"{x:.3g}" for x in dict.fromkeys(numbers.detach().tolist())]
+    return ", ".join(words[:3] + ["…"] * (len(words) > 3))
+
+
+def padded(parts: Sequence[Tensor]) -> Tensor:
+    """Join a tensor of several media to one, (B) or (B, …, K); missing rates and weights are 0."""
+    if parts[0].ndim == 1:
+        return torch.cat(list(parts))
+    if any(part.ndim == 4 for part in parts):
+        parts = [as_matrices(part) for part in parts]
+    width = max(part.shape[-1] for part in parts)
+    return torch.cat([pad(part, (0, width - part.shape[-1])) for part in parts])
 
 
 def _rows(coefficients: Mapping[str, Any]) -> dict[str, Tensor]:

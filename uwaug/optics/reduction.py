@@ -3,12 +3,11 @@ rates.
 """
 
 import numpy as np
-from torch import Tensor
 
 from uwaug._support.types import Array
 from uwaug.optics.quadrature import distances_of, reduce_rates
 from uwaug.optics.spectra import bands_between
-from uwaug.optics.surfaces import measure, row_of
+from uwaug.optics.surfaces import measure
 from uwaug.optics.water import Water
 
 _MIN_G = 1e-6
@@ -39,7 +38,7 @@ def reduced(
     response: Array,
     basis: Array | None,
     tolerance: float,
-) -> tuple[dict[str, Tensor], float]:
+) -> tuple[dict[str, Array], float]:
     """Rates and weights of a medium (of one row) by name, and the largest error of a curve.
 
     Args:
@@ -59,7 +58,7 @@ def reduced(
 
 def reduced_curves(
     beta: Array, G: Array, lit: Array, veil: Array, tolerance: float
-) -> tuple[dict[str, Tensor], float]:
+) -> tuple[dict[str, Array], float]:
     """As `reduced`, from the weights of each band: of T_β and T_G (3xM or 9xM) and of V (3xM)."""
     G_weights = np.concatenate([lit, veil])
     if np.array_equal(beta, G):
@@ -70,14 +69,13 @@ def reduced_curves(
         beta_rates, direct, direct_error = reduce_rates(beta, lit, tolerance)
         G_rates, weights, error = reduce_rates(G, G_weights, tolerance)
         error = max(error, direct_error)
-    arrays = {
+    return {
         "beta": beta_rates,
         "direct_weights": direct,
         "G": G_rates,
         "signal_weights": weights[:-3],
         "veil_weights": weights[-3:],
-    }
-    return {name: row_of(array) for name, array in arrays.items()}, error
+    }, error
 
 
 def _mixes(lit: Array, rates: Array, tolerance: float) -> bool:

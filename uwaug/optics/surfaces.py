@@ -86,9 +86,18 @@ def measure(response: Array, basis: Array | None) -> Array:
     return response if basis is None else (response[:, None] * basis).reshape(9, -1)
 
 
+def nine_rows(weights: Array) -> Array:
+    """Weights of channels (Bx3xK) as those of matrices (Bx9xK), which stay as they are."""
+    if weights.shape[1] == 9:
+        return weights
+    matrices = np.zeros((len(weights), 9, weights.shape[2]))
+    matrices[:, ::4] = weights
+    return matrices
+
+
 def row_of(values: Array) -> Tensor:
-    """Rates (K) as a tensor (1, K), weights (3, K) as (1, 3, K), weights (9, K) as (1, 3, 3, K), on
-    the CPU whatever torch's default device. The tensor shares the array's memory.
+    """A number as a tensor (1), rates (K) as (1, K), weights (3, K) as (1, 3, K), weights (9, K) as
+    (1, 3, 3, K), on the CPU whatever torch's default device. The tensor shares an array's memory.
     """
     shape = (3, 3, -1) if values.ndim == 2 and len(values) == 9 else values.shape
     return torch.from_numpy(values.reshape(1, *shape))  # a tenth of the time of torch.tensor

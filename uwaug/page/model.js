@@ -262,13 +262,16 @@ export function lightAt(place, { table }, K, { luminance, reflectance }) {
   return [detail, surface, veil];
 }
 
-/** Factors of the veil in the rows of a picture: uwaug/light/direction.py; pitch in degrees. */
+/** Factors of the veil on the rays of a picture: uwaug/light/direction.py; pitch in degrees. */
 export function riseOf({ width, height }, pitch, { direction: { view, rise, most } }) {
   const focal = width / 2 / Math.tan(view * Math.PI / 360), [sine, cosine] = [Math.sin, Math.cos].map(f => f(pitch * Math.PI / 180));
-  return Float32Array.from({ length: height }, (_, y) => {
-    const down = (y - (height - 1) / 2) / focal;
-    return (1 - rise * Math.min((sine - down * cosine) / Math.hypot(1, down), most)) ** -2;
-  });
+  const factors = new Float32Array(width * height);
+  for (let y = 0, at = 0; y < height; y++) for (let x = 0; x < width; x++, at++) {
+    const right = (x - (width - 1) / 2) / focal, down = (y - (height - 1) / 2) / focal;
+    const up = (sine - down * cosine) / Math.sqrt(1 + right * right + down * down);
+    factors[at] = (1 - rise * Math.min(up, most)) ** -2;
+  }
+  return factors;
 }
 
 // --- the camera: uwaug/formation/development.py -----------------------------------------------------
@@ -284,7 +287,7 @@ export function gainOf(scene, { table, rise }, { exposure, white_balance, satura
     let Yp = 0;
     for (let c = 0; c < 3; c++) {
       const curve = j => table[at + j] + t * (table[at + size + j] - table[at + j]);
-      let arriving = curve(18 + c) * rise[Math.floor(p / scene.width)];
+      let arriving = curve(18 + c) * rise[p];
       for (let j = 0; j < 3; j++) arriving += (curve(3 * c + j) + curve(9 + 3 * c + j)) * J[j];
       Yp += luminance[c] * arriving;
       before[c] += J[c] / meter.count;
@@ -365,7 +368,7 @@ export function form(scene, { table, rise }, gain, { gamut, tone, full_well: wel
       const nextD = table[i] * J0 + table[i + 1] * J1 + table[i + 2] * J2;
       const nextF = table[i + 9] * soft0 + table[i + 10] * soft1 + table[i + 11] * soft2;
       const B = table[v] + t * (table[v + size] - table[v]);
-      let arriving = direct * (D + t * (nextD - D)) + forward * (F + t * (nextF - F)) + veil * B * rise[y * step];
+      let arriving = direct * (D + t * (nextD - D)) + forward * (F + t * (nextF - F)) + veil * B * rise[p];
       if (noise) {
         const deviation = Math.sqrt(Math.max(arriving, 0) / well + dark);
         arriving += deviation * noise[Math.imul(3 * p + c, 0x9e3779b1) >>> 16];

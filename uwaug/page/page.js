@@ -250,11 +250,10 @@ function pointed(event) {
   const box = $("view").getBoundingClientRect(), u = (event.clientX - box.left) / box.width, v = (event.clientY - box.top) / box.height;
   if (event.buttons) split(100 * u);
   if (!scene || !shown || !(u >= 0 && u < 1 && v >= 0 && v < 1)) return;
-  const z = scene.distance[Math.floor(v * scene.height) * scene.width + Math.floor(u * scene.width)];
+  const place = Math.floor(v * scene.height) * scene.width + Math.floor(u * scene.width), z = scene.distance[place];
   const last = shown.lights.length - 1, entry = Math.round(Math.log(z / shown.near) / shown.stepOfPlace);
   const [detail, surface, veil] = shown.lights[z === Infinity ? last : Math.min(entry, last - 1)];
-  const rise = shown.rise[Math.min(Math.floor(v * shown.rise.length), shown.rise.length - 1)];
-  const left = detail > 0 ? detail / (surface + rise * veil) : 0;
+  const left = detail > 0 ? detail / (surface + shown.rise[place] * veil) : 0;
   const metres = z === Infinity ? "open water" : `${(z * state.times).toPrecision(3)} m`;
   $("readout").innerHTML = `<b>${metres}</b> away, <b>${(100 * left).toPrecision(2)} %</b> of fine contrast left
     <span>(--min-contrast ${left.toPrecision(2)})</span>`;

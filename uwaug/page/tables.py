@@ -13,14 +13,15 @@ from uwaug.blur.plan import BlurPlan, place_line, plan_blur
 from uwaug.distance import cue
 from uwaug.formation import development
 from uwaug.formation.colour import LUMINANCE
-from uwaug.light import Light, direction
+from uwaug.light import direction
 from uwaug.optics import constituents
 from uwaug.optics.camera import load_camera, response_at
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.jerlov import IN_WORDS, JERLOV_TYPES
-from uwaug.optics.point_spread import FOCAL_LENGTH, LENGTHS, PointSpread
+from uwaug.optics.point_spread import LENGTHS, PointSpread
 from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.surfaces import reflectances
+from uwaug.optics.view import WIDE
 from uwaug.optics.water import LEAST_LOSS, Water, eye
 from uwaug.transforms import random_water
 from uwaug.transforms.appearance import WATER_FEATURES
@@ -56,7 +57,7 @@ def plan_of_page() -> BlurPlan:
 def tables() -> dict[str, Any]:
     """Collect all numbers, as JSON holds them."""
     camera, axis = load_camera(RandomWater.camera), WAVELENGTHS.tobytes()
-    law, (least, most) = PointSpread.calibrated(FOCAL_LENGTH), LENGTHS
+    law, (least, most) = PointSpread.calibrated(), LENGTHS
     pure = dict(zip(("a", "b"), constituents.pure_water(axis), strict=True))
     at_1, exponents = constituents.phytoplankton()
     at_660, exponent = constituents.SCATTERED_BY_PHYTOPLANKTON
@@ -81,12 +82,17 @@ def tables() -> dict[str, Any]:
         "sensor": response_at(camera, axis),
         "reflectances": reflectances(axis),
         "farthest": FARTHEST,
-        "law": {"scale": law.scale, "exponent": law.exponent, "least": least, "most": most},
+        "law": {
+            "scale": law.scale * WIDE.focal(1),
+            "exponent": law.exponent,
+            "least": least,
+            "most": most,
+        },
         "luminance": LUMINANCE,
         "reflectance": _REFLECTANCE,
         "dimmest": random_water.DIMMEST,
         "much": random_water.MOST_CONTENTS,
-        "direction": {"view": Light.view, "rise": direction.RISE, "most": direction.MAX_RISE},
+        "direction": {"view": WIDE.degrees, "rise": direction.RISE, "most": direction.MAX_RISE},
         "sizes": dict(zip(("nearest", "farthest"), random_water.MEDIANS, strict=True)),
         "meter": {
             "count": development.METERED,

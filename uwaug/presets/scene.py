@@ -9,6 +9,7 @@ from torch.nn.functional import interpolate
 from uwaug._support import checks
 from uwaug.distance import along_ray, fill_unknown, from_disparity
 from uwaug.formation.colour import decoded, linear_to_srgb, require_values
+from uwaug.optics.view import WIDE, View
 
 _SHEET_PIXELS = 500_000
 """Most pixels of a picture on a sheet, enough for one across all cells."""
@@ -26,13 +27,13 @@ class Scene:
     Attributes:
         image (3xHxW tensor): sRGB, 0…1.
         distance (1xHxW tensor): along the ray, m.
-        focal_px: focal length, px; None if it is not known.
+        view: of the camera.
         note: changes to the original, for captions.
     """
 
     image: Tensor
     distance: Tensor
-    focal_px: float | None = None
+    view: View = WIDE
     note: str = ""
 
 
@@ -43,7 +44,7 @@ def motorcycle() -> Scene:
     image, depth = motorcycle_depth()
     # the benchmark counts pixels from the centre of the first
     distance = along_ray(depth, _MOTORCYCLE_FOCAL_PX, centre=(311.193 + 0.5, 254.877 + 0.5))
-    return Scene(image, distance, _MOTORCYCLE_FOCAL_PX)
+    return Scene(image, distance, View(focal_px=_MOTORCYCLE_FOCAL_PX))
 
 
 def motorcycle_depth() -> tuple[Tensor, Tensor]:

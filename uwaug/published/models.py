@@ -13,7 +13,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug.light.backscatter import backscatter
 from uwaug.light.light import Lamp
-from uwaug.light.rays import Rays
+from uwaug.optics.view import WIDE, View
 from uwaug.optics.water import Water
 from uwaug.published.equation import AnyCamera, AnyWater, BandedWater, between, colour, published
 
@@ -36,7 +36,7 @@ def mcglamery_1980(
     *,
     g: float = 0.05,
     lamp: Lamp = _LAMP,
-    view: float = 60.0,
+    view: View = WIDE,
 ) -> Tensor:
     """Direct light, forward scatter as a blur of the scene, and backscatter, under a lamp.
 
@@ -46,8 +46,8 @@ def mcglamery_1980(
     from general knowledge of the literature.
     Left open: the colours (it has one wavelength), and G and φ, which it fits, with a ≤ G ≤ K_d.
     Ours: spectra and a camera; G = a + g·b, with a g that keeps that bound in all ten types at all
-    wavelengths; φ = 2π·.3 px·b̄ where the short side has 518 px; a white lamp; a view `view` degrees
-    wide. The lamp's light L on the scene is cone·cos/r². On its way it fades with G, as in Monte
+    wavelengths; φ = 2π·.3 px·b̄ where the short side has 518 px; a `view` 60° wide.
+    The lamp's light L on the scene is color·cone·cos/r². On its way it fades with G, as in Monte
     Carlo transport, and not with β. The phase function is that of Henyey and Greenstein.
     """
     w = BandedWater.of(water, camera, z)
@@ -66,7 +66,7 @@ def jaffe_1990(
     *,
     g: float = 0.2,
     lamp: Lamp = _LAMP,
-    view: float = 60.0,
+    view: View = WIDE,
 ) -> Tensor:
     """McGlamery's model, but the direct light is blurred, and not the scene.
 
@@ -415,12 +415,12 @@ def slurpp_2025(
 
 
 def _lit(
-    lamp: Lamp, view: float, z: Tensor, G: Tensor, w: BandedWater
+    lamp: Lamp, view: View, z: Tensor, G: Tensor, w: BandedWater
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Light of a lamp on surfaces that face the camera, without the water; its way there (Bx1xHxW,
-    m); and the veil of its beam (Bx3xHxW).
+    """Light of a lamp on surfaces that face the camera (Bx3xHxW), without the water; its way there
+    (Bx1xHxW, m); and the veil of its beam (Bx3xHxW).
     """
-    rays = Rays.of(z, view)
+    rays = view.rays(z)
     sent = lamp.sent(rays, z)
     facing = (z * rays.shortening - lamp.position[2]).clamp(min=0.0) / sent.path
     cone, scattering, strips = sent.cone, (w.response * w.b)[None], []
@@ -431,7 +431,8 @@ def _lit(
             cone = sent.cone._replace(across=sent.cone.across[rows], along=sent.cone.along[rows])
         maps = sent.nearest[rows], sent.height[rows], cone, z[rows]
         strips.append(backscatter(G[None], scattering, *maps))
-    return lamp.power * sent.share * facing, sent.path, lamp.power * torch.cat(strips, 2)
+    light = lamp.power * z.new_tensor(lamp.color)[:, None, None]
+    return light * sent.share * facing, sent.path, light * torch.cat(strips, 2)
 
 
 def _revised(

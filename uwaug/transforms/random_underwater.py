@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from dataclasses import field as option
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
+from uwaug.optics.view import WIDE, View
 from uwaug.transforms.draws import NOUNS, Draw, Record, of_frame, read_draws, uniform_of
 from uwaug.transforms.measured import Measured
 from uwaug.transforms.random_development import RandomDevelopment
@@ -34,9 +35,6 @@ from uwaug.transforms.scenes import Scenes, scenes_of
 SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 """Contrast at the scene's median distance, by grade of severity."""
 
-_DEFAULT_LIGHT = RandomLight()
-"""The light if none is given. It is this very object, as a `Medium` then has light of its own."""
-
 
 @codec.plain
 @dataclass(init=False, eq=False, repr=False)
@@ -55,10 +53,13 @@ class RandomUnderwater(SampleTransform):
             `uwaug.distance.Metres`, `Relative` or `Inverse`. Or the source of distances where there
             are no maps: `MadeUp`, `Network`, or `Plane`, for which a number or a range may stand,
             m.
-        light: a `RandomLight`: by default lamps light a twelfth of the pictures, but none where a
-            water is a `Medium`, which has daylight of its own; a `Light`, the same for all
-            pictures, whose lamps stand where they are in metres; None for daylight.
+        light: a `RandomLight`; a `Light`, the same for all pictures, whose lamps stand where they
+            are in metres; None for daylight. "auto" is `RandomLight()`, where lamps light a twelfth
+            of the pictures, and None where a water is a `Medium`, which has daylight of its own.
         development: a `RandomDevelopment`: what the camera does, and the colour space.
+        view: of the camera, a `uwaug.View` or its angle in degrees: planar depth, blur, the
+            direction of daylight, lamps and snow follow it. Of a crop give that of the crop, see
+            `uwaug.View.crop`.
         p: probability that a picture is degraded at all.
         keys: names of image and map in a dict.
 
@@ -75,7 +76,7 @@ class RandomUnderwater(SampleTransform):
 
     Randomness comes from torch's global generator, which a DataLoader seeds for each worker and
     epoch; `at` draws from a key instead. Place the transform before normalisation, and after
-    resizing and cropping: the default width law takes the picture for the whole view.
+    resizing and cropping; the default view is 60° wide.
 
     Raises:
         TypeError, ValueError: if an option or an input does not suit; says what was expected.
@@ -102,8 +103,9 @@ class RandomUnderwater(SampleTransform):
 
     water: RandomWater = option(default_factory=RandomWater)
     distance: Source = option(default_factory=Metres)
-    light: RandomLight | Light | None = _DEFAULT_LIGHT
+    light: RandomLight | Light | Literal["auto"] | None = "auto"
     development: RandomDevelopment = option(default_factory=RandomDevelopment)
+    view: View = WIDE
     p: float = 1.0
     keys: tuple[str, str] = ("image", "distance")
 
@@ -112,8 +114,9 @@ class RandomUnderwater(SampleTransform):
         water: RandomWater | AnyWater | Iterable[AnyWater] | None = None,
         *,
         distance: Source | Range | None = None,
-        light: RandomLight | Light | None = _DEFAULT_LIGHT,
+        light: RandomLight | Light | Literal["auto"] | None = "auto",
         development: RandomDevelopment | None = None,
+        view: View | float = WIDE,
         p: float = 1.0,
         keys: tuple[str, str] = ("image", "distance"),
     ) -> None:
@@ -124,25 +127,27 @@ class RandomUnderwater(SampleTransform):
         cure = "Metres, Relative, Inverse, MadeUp, Network(…) or Plane of uwaug.distance"
         checks.instance("distance", self.distance, Source, f"; give {cure}")
         self.distance.require_ranges()
-        self.light = None if light is _DEFAULT_LIGHT and self.water.has_media else light
-        if not isinstance(self.light, Light | None):
-            checks.instance("light", self.light, RandomLight, "; or a uwaug.Light")
-        pitch = self.light.pitch if isinstance(self.light, Light) else None
+        self.light = light
+        if light == "auto":
+            light = None if self.water.has_media else RandomLight()
+        if not isinstance(light, Light | None):
+            checks.instance("light", light, RandomLight, "; or a uwaug.Light")
+        pitch = light.pitch if isinstance(light, Light) else None
         if isinstance(pitch, Tensor) and pitch.numel() > 1:
             cure = "each picture draws its own by RandomLight(pitch=(low, high))"
             raise ValueError(f"light.pitch must be one number for all pictures: {cure}")
         self.development = RandomDevelopment() if development is None else development
         checks.instance("development", self.development, RandomDevelopment)
+        self.view = View.of(view)
         checks.within("p", p, 0.0, 1.0)
         self.p = p
         are_names = isinstance(keys, (tuple, list)) and set(map(type, keys)) == {str}
         if not (are_names and len(keys) == 2):
             raise TypeError(f"keys must be the names of image and map, got {keys!r:.80}")
         self.keys = keys[0], keys[1]
-        light_noun = self.light if isinstance(self.light, RandomLight) else Fixed(self.light)
+        light_noun = light if isinstance(light, RandomLight) else Fixed(light)
         nouns = (self.water, self.distance, light_noun, self.development)
         self._nouns: dict[str, Any] = dict(zip(NOUNS, nouns, strict=True))
-        self.always_stored = {"light"} if self.water.has_media else set()
 
     @classmethod
     def severity(cls, level: int, water: Any = None, **options: Any) -> "RandomUnderwater":
@@ -196,19 +201,21 @@ class RandomUnderwater(SampleTransform):
             got = ", ".join(dict.fromkeys(names))
             raise ValueError(f"a module makes the same of all pictures, but {got} differ: fix them")
         nearest, farthest = self.distance.reach() or (0.1, 20.0)
-        lamps = isinstance(self.light, Light) and bool(self.light.lamps)
+        light = self._nouns["light"]
+        lamps = isinstance(light, Fixed) and bool(light.value and light.value.lamps)
         metered = bool(self.development.metered)
         measured = Measured(1, 0.0, 1.0, nearest, farthest, farthest, metered, lamps)
         thin, dense = self.water.field or (1.0, 1.0)
         low, high = nearest * thin, farthest * dense
         draw = Draw(**self._sample(uniform_of(0)))
         return Underwater(
-            self.water.of(draw.water, measured).medium,
+            self.water.of(draw.water, measured, lamps=lamps).medium,
             distance_range or (low, max(high, 1.01 * low)),  # of a plane, too
             color_space=self.development.color_space,
             sides=sides,
             development=self.development.of(draw.development, measured),
-            light=self._nouns["light"].of(draw.light, measured),
+            light=light.of(draw.light, measured),
+            view=self.view,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -331,7 +338,7 @@ class RandomUnderwater(SampleTransform):
         draws = read_draws(params, count, self._nouns)
         if is_film(image) and len(params["samples"]) == 1 and not draws[0].measured:
             draws = read_draws(self.for_clip(params, image, distance), count, self._nouns)
-        return scenes_of(image, pictures, distance, draws, self._nouns)
+        return scenes_of(image, pictures, distance, draws, self._nouns, self.view)
 
     def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
         image, distance, restore = self.take_apart(inputs)
@@ -340,7 +347,8 @@ class RandomUnderwater(SampleTransform):
         if is_film(image):
             return restore(self.transform(image, distance, record))
         draws = [Draw(**sample) for sample in record["samples"]]
-        return restore(scenes_of(image, pictures, distance, draws, self._nouns).formed())
+        scenes = scenes_of(image, pictures, distance, draws, self._nouns, self.view)
+        return restore(scenes.formed())
 
     def __repr__(self) -> str:
         options = [f"{f.name}={getattr(self, f.name)!r}" for f in codec.changed(self)]

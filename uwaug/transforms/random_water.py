@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from dataclasses import field as derived
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 from torch import Tensor
@@ -19,9 +19,10 @@ from uwaug.formation.field import random_fields
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.constituents import Constituents
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import FOCAL_LENGTH, PointSpread
+from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import default_bands
 from uwaug.optics.snow import MarineSnow
+from uwaug.optics.view import View
 from uwaug.optics.water import Water, load_water
 from uwaug.transforms.draws import Draw
 from uwaug.transforms.measured import Measured
@@ -65,7 +66,7 @@ MOST_SCALED, MOST_CONTENTS, MOST_MISSED = 4.0, 50.0, 2.0
 of `WATERS` need 42 for the severest grade at 1 m; of the contrast, less than what was asked for.
 """
 
-_calibrated = lru_cache(maxsize=16)(PointSpread.calibrated)
+_CALIBRATED = PointSpread.calibrated()
 
 odd_scene = Once()
 """The warning that distances are hardly metres, or the water hardly the one that was named."""
@@ -146,8 +147,7 @@ class RandomWater(Noun):
         g: share of the scattered light that leaves the line of sight, 0…1.
         mu: share of the scattered light sent towards the camera, 0…1. The veil of endless water has
             mu/g of the light of a white plate; a range is held at g. None for 1.5·g.
-        point_spread: width law of the forward scatter; None for `PointSpread.calibrated` of a view
-            60° wide, whose focal length is .866·width. Give one where pictures are crops of a view.
+        point_spread: width law of the forward scatter; None for `PointSpread.calibrated`.
         field: least and largest value of the medium field, which is drawn anew for each picture and
             multiplies its distances; None for even water.
         camera: a name, the path of a CSV file or a `Camera`.
@@ -260,14 +260,11 @@ class RandomWater(Noun):
         return ["waters"] * (len(self.by_name) > 1 or len(ranges) > 0) + super().random()
 
     def of_each_picture(self) -> list[str]:
-        """Names of the options that follow from the size or the distances of a picture."""
-        if self.has_media:
-            return []
-        follows = {"contrast": self.contrast is not None, "point_spread": self.point_spread is None}
-        return [f"water.{name}" for name, is_so in follows.items() if is_so]
+        """Names of the options that follow from the distances of a picture."""
+        return ["water.contrast"] if self.contrast is not None and not self.has_media else []
 
-    def of(self, draw: Drawn, measured: Measured) -> PictureWater:
-        """The water of a picture, and the factor of its distances."""
+    def of(self, draw: Drawn, measured: Measured, *, lamps: bool) -> PictureWater:
+        """The water of a picture, for lamps if there are any, and the factor of its distances."""
         first = draw["waters"][0]
         fixed = self.by_name.get(first) if isinstance(first, str) else None
         if isinstance(fixed, Medium):
@@ -295,32 +292,34 @@ class RandomWater(Noun):
                     taken = f"the scene is taken at {deepest:.3g} m; metered=False keeps the dark"
                     odd_scene.warn(f"{got} of light: {taken}")
                 depth, daylight = deepest, DIMMEST
-        law = self.point_spread or _calibrated(FOCAL_LENGTH * measured.width)
+        law = self.point_spread or _CALIBRATED
         surfaces = "color_matrix" in draw, draw.get("color_matrix", 1.0)
         tolerance = _CURVES * daylight  # errors, too, are brought up by an exposure
         options = (depth, draw["g"], self._mu(draw), law, *surfaces, tolerance)
-        medium = self._with_snow(self._medium(water, options), draw, measured.scaled(scale))
+        medium = self._medium(water, options, lamps)
+        medium = self._with_snow(medium, draw, measured.scaled(scale))
         return PictureWater(medium, scale, depth, reached)
 
-    def fields(self, draws: Sequence[Draw], measured: Sequence[Measured], like: Tensor) -> Tensor:
+    def fields(
+        self, draws: Sequence[Draw], measured: Sequence[Measured], like: Tensor, view: View
+    ) -> Tensor:
         """The medium field (Bx1xHxW) of each picture, of the height, width and type of `like`; 1 in
         even water.
         """
         if self.field is None:
             return like.new_ones(())
-        # in px of the view that the width law takes the picture for
-        scales = [FOCAL_LENGTH * m.width / m.median for m in measured]
+        scales = [view.focal(m.width) / m.median for m in measured]  # px a metre
         moved = [(k * m.moved[0], k * m.moved[1]) for k, m in zip(scales, measured, strict=True)]
         seeds = [draw.water["field_seed"] for draw in draws]
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
 
-    def _medium(self, water: Water, options: tuple[Any, ...]) -> Medium:
+    def _medium(self, water: Water, options: tuple[Any, ...], lamps: bool) -> Medium:
         """The medium of a water; the last one again if nothing differs, as if nothing is random."""
-        before: tuple[Water, tuple[Any, ...], Medium] | None = vars(self).get("_before")
-        if before and before[0] is water and before[1] == options:
+        before: tuple[Water, Any, Medium] | None = vars(self).get("_before")
+        if before and before[0] is water and before[1] == (options, lamps):
             return before[2]
-        medium = Medium.of_spectra(water, self.response, *options)
-        vars(self)["_before"] = water, options, medium
+        medium = Medium.of_spectra(water, self.response, *options, lamps=lamps)
+        vars(self)["_before"] = water, (options, lamps), medium
         return medium
 
     def _with_snow(self, medium: Medium, draw: Drawn, measured: Measured) -> Medium:

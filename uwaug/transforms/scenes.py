@@ -17,13 +17,13 @@ from uwaug.distance.sources import Metres, Source
 from uwaug.distance.unknown import FARTHEST_SEEN
 from uwaug.formation.colour import decoded, linear_to_srgb, require_values
 from uwaug.formation.contrast import FAINT, contrast_left
-from uwaug.formation.development import Development
 from uwaug.formation.each import form_each
-from uwaug.light import Light
+from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
-from uwaug.optics.medium import Medium
+from uwaug.optics.view import View
 from uwaug.transforms.draws import Draw
 from uwaug.transforms.measured import Measured, measure
+from uwaug.transforms.random_light import RandomLight
 from uwaug.transforms.random_water import RandomWater, Reached
 from uwaug.transforms.samples import maps_for, naming, typed
 from uwaug.transforms.truth import Truth, truth_of
@@ -35,26 +35,20 @@ _blank = Once(looks=16)
 """The warning that nothing is left to see. What is wrong with all pictures shows in the first."""
 
 
-class Setting(NamedTuple):
-    """Water, light and camera of one picture.
+class Scene(NamedTuple):
+    """One picture in the water that it has drawn.
 
     Attributes:
-        medium: of one row.
-        light: lamps; None for daylight.
-        development: what the camera does.
+        setting: water, light and camera.
         scale: factor of all distances.
         vertical_depth: m; None of a `Medium`.
         reached: the contrast and what it took; None if no contrast was asked for.
-        span: nearest, median and farthest effective distance, m.
     """
 
-    medium: Medium
-    light: Light | None
-    development: Development
+    setting: Setting
     scale: float
     vertical_depth: float | None
     reached: Reached | None
-    span: tuple[float, float, float]
 
 
 class Scenes(NamedTuple):
@@ -63,22 +57,18 @@ class Scenes(NamedTuple):
     Attributes:
         image (3xHxW or Bx3xHxW tensor): the image as it came.
         pictures (Bx3xHxW tensor): its pictures, as a plain tensor.
-        color_space: their colour space.
         chosen: indices of the N pictures that are in water.
         z (Nx1xHxW tensor): effective distances, m: times the medium field.
         metres (Nx1xHxW tensor): distances without the field, m.
-        settings: water, light and camera of each of the N.
-        alike: True if all have one law of widths, and are metered or none is.
+        scenes: each of the N.
     """
 
     image: Tensor
     pictures: Tensor
-    color_space: ColorSpace
     chosen: Sequence[int] = ()
     z: Tensor = torch.zeros(0, 1, 1, 1)
     metres: Tensor = torch.zeros(0, 1, 1, 1)
-    settings: Sequence[Setting] = ()
-    alike: bool = True
+    scenes: Sequence[Scene] = ()
 
     def formed(self) -> Tensor:
         """The image under water, of the class of the original."""
@@ -87,21 +77,12 @@ class Scenes(NamedTuple):
         pictures, index = self.pictures, None
         if len(self.chosen) < len(pictures):
             index = torch.tensor(self.chosen).to(pictures.device)
-        for setting in self.settings:
+        settings = [scene.setting for scene in self.scenes]
+        for setting in settings:
             _warn_if_blank(setting)
-        media, lights, developments, _, _, _, spans = zip(*self.settings, strict=True)
         with checks.full_precision(pictures):
-            result = form_each(
-                pictures if index is None else pictures[index],
-                self.z,
-                media,
-                developments,
-                color_space=self.color_space,
-                spans=spans,
-                alike=self.alike,
-                lights=lights,
-                metres=self.metres,
-            )
+            submerged = pictures if index is None else pictures[index]
+            result = form_each(submerged, self.z, self.metres, settings)
         if index is not None:
             result = pictures.index_copy(0, index, result)
         return typed(result[0] if self.image.ndim == 3 else result, type(self.image))
@@ -115,14 +96,15 @@ class Scenes(NamedTuple):
         """
         shares = list(torch.ones_like(self.pictures[:, :1, ::step, ::step], dtype=torch.float32))
         maps = [distances[..., ::step, ::step] for distances in (self.z, self.metres)]
-        for i, z, metres, setting in zip(self.chosen, *maps, self.settings, strict=True):
-            shares[i] = contrast_left(z, setting.medium, light=setting.light, metres=metres)
+        for i, z, metres, (setting, *_) in zip(self.chosen, *maps, self.scenes, strict=True):
+            options = {"light": setting.light, "view": setting.view.resized(1 / step)}
+            shares[i] = contrast_left(z, setting.medium, metres=metres, **options)
         return shares[0] if self.image.ndim == 3 else torch.stack(shares)
 
     def reached(self, picture: int) -> Reached | None:
         """The contrast of one of the pictures and what it took, if it asked for one."""
-        settings = dict(zip(self.chosen, self.settings, strict=True))
-        return settings[picture].reached if picture in settings else None
+        scenes = dict(zip(self.chosen, self.scenes, strict=True))
+        return scenes[picture].reached if picture in scenes else None
 
     def truth(self, picture: int = 0) -> Truth | None:
         """What water and camera did to one of the pictures; None if it is left alone.
@@ -135,31 +117,36 @@ class Scenes(NamedTuple):
         if picture not in self.chosen:
             return None
         i = list(self.chosen).index(picture)
-        image, setting = self.pictures[picture, None], self.settings[i]
-        camera = setting.medium, setting.light, setting.development, setting.vertical_depth
+        image, scene = self.pictures[picture, None], self.scenes[i]
+        maps = self.z[i, None], self.metres[i, None]
         with checks.full_precision(image):
-            J = decoded(image, self.color_space).to(self.z.dtype)
-            return truth_of(J, self.z[i, None], self.metres[i, None], *camera)
+            J = decoded(image, scene.setting.color_space).to(self.z.dtype)
+            return truth_of(J, *maps, scene.setting, scene.vertical_depth)
 
     def settled(self) -> dict[str, Any]:
         """Median distance, exposure and white balance of this one picture, for all frames of its
         film, see `Measured.of_film`.
         """
-        (setting,) = self.settings
-        medium, light = setting.medium.to(self.z), setting.light
-        J = decoded(self.pictures, self.color_space).to(self.z.dtype)
-        T = None if light is None else light.curves(medium, self.z, self.metres)
+        (scene,) = self.scenes
+        setting, medium = scene.setting, scene.setting.medium.to(self.z)
+        J = decoded(self.pictures, setting.color_space).to(self.z.dtype)
+        T = setting.curves(medium, self.z, self.metres)
         development = setting.development.settled(J, self.z, medium, T)
         balance = development.white_balance
         return {
-            "median": setting.span[1] / setting.scale,
+            "median": setting.span[1] / scene.scale,
             "exposure": development.exposure,
             "white_balance": balance if isinstance(balance, tuple) else None,
         }
 
 
 def scenes_of(
-    image: Tensor, pictures: Tensor, distance: Any, draws: Sequence[Draw], nouns: Mapping[str, Any]
+    image: Tensor,
+    pictures: Tensor,
+    distance: Any,
+    draws: Sequence[Draw],
+    nouns: Mapping[str, Any],
+    view: View,
 ) -> Scenes:
     """Put an image into the water of its draws, which are not checked here.
 
@@ -168,6 +155,7 @@ def scenes_of(
         pictures (Bx3xHxW tensor): all of the image, from `pictures_of`.
         draws: one for each picture.
         nouns: the nouns of a transform, by the names of `Draw`.
+        view: of the camera.
     """
     fast.load()  # else the first picture of a process would be off by the last bits
     water: RandomWater = nouns["water"]
@@ -176,7 +164,7 @@ def scenes_of(
     maps = maps_for(pictures, distance, source)
     chosen = [i for i, draw in enumerate(draws) if draw.applied]
     if not chosen:
-        return Scenes(image, pictures, space)
+        return Scenes(image, pictures)
     with checks.full_precision(pictures):
         metres = _metres_of(source, pictures, maps, draws, space)
         submerged = pictures if len(chosen) == len(pictures) else pictures[chosen]
@@ -187,34 +175,32 @@ def scenes_of(
         if not are_whole and source == _WHOLE_MAPS:
             metres = _read_again(source, pictures, metres, chosen)
             measurements = measure(submerged, metres, **camera)
-        settings, of_films = [], []
+        scenes, of_films = [], []
         applied = [draws[i] for i in chosen]
         for i, draw, measured in zip(chosen, applied, measurements, strict=True):
             with naming(i, len(pictures)):
                 if not (measured.darkest >= 0 and measured.brightest <= 1):
                     require_values(pictures[i], space)
                 of_films.append(measured.of_film(draw.measured, draw.passed))
-                settings.append(_setting(draw, measured, of_films[-1], nouns))
+                scenes.append(_scene(draw, measured, of_films[-1], nouns, view))
         metres = metres.double() if pictures.dtype == torch.float64 else metres
-        scales = [setting.scale for setting in settings]
+        scales = [scene.scale for scene in scenes]
         if {*scales} != {1.0}:
             metres = metres * metres.new_tensor(scales)[:, None, None, None]
         metres = metres.clamp(max=FARTHEST)
-        z = metres * water.fields(applied, of_films, metres)
-    has_one_law = len(water.by_name) == 1 or not water.has_media  # fits have laws of their own
-    films = [draw.measured for draw in applied]
-    alike = has_one_law and not any(films)
-    return Scenes(image, pictures, space, chosen, z, metres, settings, alike)
+        z = metres * water.fields(applied, of_films, metres, view)
+    return Scenes(image, pictures, chosen, z, metres, scenes)
 
 
-def _setting(
-    draw: Draw, measured: Measured, of_film: Measured, nouns: Mapping[str, Any]
-) -> Setting:
+def _scene(
+    draw: Draw, measured: Measured, of_film: Measured, nouns: Mapping[str, Any], view: View
+) -> Scene:
     """Water, light and camera of a picture, from its draw and from what was measured of it: by
     itself, and as its film has it.
     """
     water: RandomWater = nouns["water"]
-    medium, scale, vertical_depth, reached = water.of(draw.water, of_film)
+    lamps = measured.lamps or RandomLight.has_lamps(draw.light)
+    medium, scale, vertical_depth, reached = water.of(draw.water, of_film, lamps=lamps)
     scaled = of_film.scaled(scale)
     light = nouns["light"].of(draw.light, scaled)
     development = nouns["development"].of(draw.development, scaled)
@@ -222,7 +208,9 @@ def _setting(
     nearest = scale * thin * measured.nearest
     farthest = scale * dense * measured.farthest
     span = nearest, scale * measured.median, farthest
-    return Setting(medium, light, development, scale, vertical_depth, reached, span)
+    space = nouns["development"].color_space
+    setting = Setting(medium, light, development, view, space, span)
+    return Scene(setting, scale, vertical_depth, reached)
 
 
 def _metres_of(

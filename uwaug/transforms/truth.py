@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from uwaug.formation.development import Development, exposed
+from uwaug.formation.development import exposed
 from uwaug.formation.image import terms_of
-from uwaug.light import Light
+from uwaug.formation.setting import Setting
 from uwaug.optics.curves import passed
-from uwaug.optics.medium import Medium
 
 _RATES = (1e-3, 30.0)
 """1/m: ends of the rates of water by `Coefficients`."""
@@ -94,9 +93,7 @@ def truth_of(
     J: Tensor,
     z: Tensor,
     metres: Tensor,
-    medium: Medium,
-    light: Light | None,
-    development: Development,
+    setting: Setting,
     vertical_depth: float | None,
 ) -> Truth:
     """The truth of one picture.
@@ -104,11 +101,11 @@ def truth_of(
     Args:
         J (1x3xHxW tensor): linear light of the scene.
         z, metres (1x1xHxW tensors): distances with the medium field and without, m.
-        medium, light, development: of this picture.
+        setting: of this picture.
         vertical_depth: m, or None.
     """
-    medium = medium.to(z)
-    T, terms, gain = terms_of(J, z, medium, development, light=light, metres=metres)
+    medium, light = setting.medium.to(z), setting.light
+    T, terms, gain = terms_of(J, z, setting, metres)
     direct, forward, *added = terms.values()
     signal, veil = direct + forward, sum(added[1:], added[0])
     white = z.new_ones(1, 3, 1, 1)

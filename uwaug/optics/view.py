@@ -1,0 +1,127 @@
+"""The camera's view: which way the pixels of a picture look."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwaug._support import checks
+from uwaug._support.codec import plain
+
+Vector = tuple[float, float, float]
+Size = tuple[int, int]
+
+
+@plain
+@dataclass(frozen=True)
+class View:
+    """View of a pinhole camera. Planar depth, the blur of forward scatter, the direction of
+    daylight, lamps and snow follow from it.
+
+    Attributes:
+        degrees: horizontal angle of view, 1…170. It stays as it is when a picture is resized.
+        focal_px: focal length, px of the picture at hand, in place of degrees. It stays as it is
+            when a picture is cropped.
+        center: column and row, px, where the axis of the camera passes, counted from the middle of
+            the first pixel; None for the middle of the picture.
+
+    Raises:
+        TypeError, ValueError: if a number is outside its domain.
+
+    Examples:
+        >>> View(focal_px=525).crop((480, 640), left=288, top=216)
+        View(degrees=60.0, focal_px=525, center=(31.5, 23.5))
+    """
+
+    degrees: float = 60.0
+    focal_px: float | None = None
+    center: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        checks.within("view: degrees", self.degrees, 1.0, 170.0)
+        if self.focal_px is not None:
+            checks.positive("view: focal_px", self.focal_px, "px")
+        if self.center is not None:
+            center = checks.pair("view: center", self.center, "(column, row) in px")
+            object.__setattr__(self, "center", center)
+
+    @staticmethod
+    def of(value: "View | float") -> "View":
+        """A view, or one of so many degrees."""
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            return View(value)
+        checks.instance("view", value, View, "; or give its angle in degrees")
+        return value
+
+    def focal(self, width: Any) -> Any:
+        """Focal length, px, in a picture of this width, px."""
+        if self.focal_px is not None:
+            return self.focal_px
+        return width / (2 * math.tan(math.radians(self.degrees / 2)))
+
+    def middle(self, size: Size) -> tuple[float, float]:
+        """Column and row, px, of the axis in a picture of (height, width) `size`."""
+        return self.center or ((size[1] - 1) / 2, (size[0] - 1) / 2)
+
+    def crop(self, size: Size, left: int, top: int) -> "View":
+        """The view of a crop whose first pixel is that of a column and a row of a picture of
+        (height, width) `size`.
+        """
+        column, row = self.middle(size)
+        return View(self.degrees, self.focal(size[1]), (column - left, row - top))
+
+    def resized(self, factor: float) -> "View":
+        """The view of the picture at `factor` times its size."""
+        focal_px = None if self.focal_px is None else self.focal_px * factor
+        center = None
+        if self.center is not None:
+            column, row = ((place + 0.5) * factor - 0.5 for place in self.center)
+            center = column, row
+        return View(self.degrees, focal_px, center)
+
+    def rays(self, z: Tensor) -> "Rays":
+        """Rays of the pixels of a map (Bx1xHxW)."""
+        height, width = z.shape[-2:]
+        focal, (column, row) = self.focal(width), self.middle((height, width))
+        # in tensors, as a graph knows the size when it runs
+        x = (torch.arange(width, dtype=z.dtype, device=z.device) - column) / focal
+        y = (torch.arange(height, dtype=z.dtype, device=z.device) - row) / focal
+        return Rays.of(x.reshape(1, 1, 1, -1), y.reshape(1, 1, -1, 1))
+
+
+WIDE = View()
+"""The view that stands for an unknown one, 60° wide."""
+
+
+class Rays(NamedTuple):
+    """Rays of a picture, from a camera at the origin that looks along z; x points right, y down; in
+    metres.
+
+    Attributes:
+        x (1x1x1xW tensor): tangent of each column's angle to the right.
+        y (1x1xHx1 tensor): tangent of each row's angle down.
+        shortening (1x1xHxW tensor): 1/|(x, y, 1)|, length along z per length of a ray.
+    """
+
+    x: Tensor
+    y: Tensor
+    shortening: Tensor
+
+    @staticmethod
+    def of(x: Tensor, y: Tensor) -> "Rays":
+        """Rays of these tangents."""
+        return Rays(x, y, (1 + x.square() + y.square()).rsqrt())
+
+    def along(self, vector: Vector) -> Tensor:
+        """Component of a vector along each ray (1x1xHxW)."""
+        return (self.x * vector[0] + (self.y * vector[1] + vector[2])) * self.shortening
+
+    def distance(self, point: Vector) -> Tensor:
+        """Distance of a point from the line of each ray (1x1xHxW)."""
+        x, y, z = point
+        # by the vector product: |point|² − along² would lose the digits of a point in view
+        squared = (y - z * self.y).square() + (z * self.x - x).square()
+        squared = squared + (x * self.y - y * self.x).square()
+        return squared.sqrt() * self.shortening
