@@ -194,6 +194,9 @@ def degrade(
             maps=maps,
             **run_values,
         )
+        if recipe.transform.water.has_media and (severity or contrast not in (None, "none")):
+            got = "--severity" if severity else "--contrast"
+            raise ValueError(f"{got}: a medium of coefficients stays as it is, without grades")
         items = find_items(pictures, distances.maps, exclude=[out, labels])
         if formats_left_out := left_out(pictures, distances.maps, exclude=[out, labels]):
             print(f"left out, as such files are not read: {formats_left_out}")
