@@ -28,6 +28,7 @@ from uwaug import (
     PointSpread,
     Sensor,
     Underwater,
+    View,
     fast,
 )
 from uwaug.fast import gate
@@ -122,56 +123,51 @@ LIGHTS = {
 SIZES = [(1, 1), (1, 9), (7, 5), (3, 300), (300, 3), (40, 257), (40, 270), (33, 70), (70, 90)]
 
 
-def any_of(names: Any) -> "st.SearchStrategy[Any]":
-    return st.sampled_from(list(names))
+SCENES = {
+    "medium": MEDIA,
+    "light": LIGHTS,
+    "development": DEVELOPMENTS,
+    "size": SIZES,
+    "images": [1, 2],
+    "maps": [1, 2],
+    "field": [None, 0.7],
+    "space": ["srgb", "linear"],
+    "range": [None, (0.0, 20.0)],
+    "dtype": [torch.float32, torch.uint8],
+    "far": [6.0, 15.0],
+    "view": [60.0, 75.0, View(focal_px=40.0, center=(3.0, 5.0))],
+}
+USUAL = {name: next(iter(values)) for name, values in SCENES.items()}
 
 
 @settings(max_examples=120)
-@given(
-    medium=any_of(MEDIA),
-    light=any_of(LIGHTS),
-    development=any_of(DEVELOPMENTS),
-    size=any_of(SIZES),
-    images=any_of([1, 2]),
-    maps=any_of([1, 2]),
-    field=any_of([None, 0.7]),
-    space=any_of(["srgb", "linear"]),
-    planned=st.booleans(),
-    as_bytes=st.booleans(),
-    far=any_of([6.0, 15.0]),
-)
-@example("grey", "of the medium", "none", (1, 1), 2, 2, None, "srgb", False, True, 15.0)
-@example("batch", "of the medium", "none", (3, 300), 1, 2, None, "srgb", False, False, 15.0)
-@example("spectral", "in view", "noise of all", (40, 270), 1, 1, 0.7, "srgb", False, False, 15.0)
-@example("grey", "lamps", "metered", (40, 257), 1, 1, None, "linear", False, False, 15.0)
-@example("snowy", "lamps", "all", (70, 90), 1, 1, 0.7, "srgb", False, False, 6.0)
-@example("blur from none to coarse", "a lamp", "none", (70, 90), 1, 1, None, "linear", True, 0, 6.0)
-@example("spectral", "looking up", "metered", (33, 70), 2, 2, None, "srgb", False, False, 6.0)
-def test_loops_are_pytorch(
-    medium: str,
-    light: str,
-    development: str,
-    size: tuple[int, int],
-    images: int,
-    maps: int,
-    field: float | None,
-    space: Any,
-    planned: bool,
-    as_bytes: bool,
-    far: float,
-) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv("UWAUG_FAST", raising=False)
-        image, z = rand(images, 3, *size).float(), stepped(maps, 1, *size, far=far)
-        image = (255 * image).byte() if as_bytes else image
-        chosen, lit = DEVELOPMENTS[development], LIGHTS[light]
-        # brighter light has larger roundings; below black, curves of less contrast are steep
-        most = ERROR if lit is None and chosen == Development() else 4 * ERROR
-        most = 5e-5 if chosen.tone < 1 else 2e-5 if "snowy" in medium else most
-        options: dict[str, Any] = {"development": chosen, "light": lit, "color_space": space}
-        span = (0.0, 20.0) if planned else None
-        degrade = Underwater(MEDIA[medium](), span, **options)
-        formed(degrade, image, z, most, *([] if field is None else [torch.full_like(z, field)]))
+@given(st.fixed_dictionaries({name: st.sampled_from([*of]) for name, of in SCENES.items()}))
+@example({**USUAL, "images": 2, "maps": 2, "dtype": torch.uint8})
+@example({**USUAL, "medium": "batch", "size": (3, 300), "maps": 2, "far": 15.0})
+@example({**USUAL, "medium": "spectral", "light": "in view", "development": "noise of all",
+          "size": (40, 270), "field": 0.7, "view": 75.0})  # fmt: skip
+@example({**USUAL, "light": "lamps", "development": "metered", "size": (40, 257)})
+@example({**USUAL, "medium": "snowy", "light": "lamps", "development": "all", "size": (70, 90)})
+@example({**USUAL, "medium": "blur from none to coarse", "light": "a lamp", "size": (70, 90)})
+@example({**USUAL, "medium": "spectral", "light": "looking up", "size": (33, 70), "images": 2})
+def test_loops_are_pytorch(scene: dict[str, Any]) -> None:
+    image = rand(scene["images"], 3, *scene["size"]).float()
+    z = stepped(scene["maps"], 1, *scene["size"], far=scene["far"])
+    light, development = LIGHTS[scene["light"]], DEVELOPMENTS[scene["development"]]
+    # brighter light has larger roundings; below black, curves of less contrast are steep
+    most = ERROR if light is None and development == Development() else 4 * ERROR
+    most = 5e-5 if development.tone < 1 else 2e-5 if "snowy" in scene["medium"] else most
+    degrade = Underwater(
+        MEDIA[scene["medium"]](),
+        scene["range"],
+        color_space=scene["space"],
+        development=development,
+        light=light,
+        view=scene["view"],
+    )
+    field = [] if scene["field"] is None else [torch.full_like(z, scene["field"])]
+    image = (255 * image).byte() if scene["dtype"] == torch.uint8 else image
+    formed(degrade, image, z, most, *field)
 
 
 @pytest.mark.parametrize("name", CONDITIONS)

@@ -117,15 +117,6 @@ def test_images_without_a_batch_and_batches() -> None:
     assert degrade(image[:0], z[:0]).shape == (0, 3, 32, 40)
 
 
-@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16, torch.float64])
-def test_types(dtype: torch.dtype) -> None:
-    image, z = picture().to(dtype), distances().to(dtype)
-    result = Underwater(coastal())(image, z)
-    assert result.dtype == dtype
-    exact = Underwater(coastal())(image.double(), z.double())
-    assert (result.double() - exact).abs().max() < (1e-9 if dtype == torch.float64 else 0.005)
-
-
 @pytest.mark.parametrize("metered", [False, True])
 def test_bytes_in_bytes_out(metered: bool) -> None:
     image, z = picture(), distances()

@@ -26,7 +26,7 @@ from uwaug import (
     load_camera,
 )
 from uwaug.light import Lamp
-from uwaug.optics.curves import Curves
+from uwaug.optics.curves import Curves, added, passed
 from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.view import Rays, View
 
@@ -74,6 +74,17 @@ def test_lights_add(medium: Medium) -> None:
     parts.append(Light(daylight=0.3).curves(medium, z, WIDE))
     for n, found in enumerate(both):
         torch.testing.assert_close(found, torch.stack([part[n] for part in parts]).sum(0))
+
+
+def test_numbers_of_one_light_are_diagonals_beside_matrices_of_another() -> None:
+    image, z = scene()
+    numbers, matrices = MEDIUM.curves(z), SPECTRAL.curves(z)
+    for both in (added(numbers, matrices), added(matrices, numbers)):
+        for name in ("direct", "scatter"):
+            curves = (getattr(x, name) for x in (both, numbers, matrices))
+            ours, one, other = (passed(curve, image) for curve in curves)
+            torch.testing.assert_close(ours, one + other)
+        torch.testing.assert_close(both.veil, numbers.veil + matrices.veil)
 
 
 def test_what_arrives_is_the_spectral_integral() -> None:

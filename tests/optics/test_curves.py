@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -133,21 +132,6 @@ def test_gradients_of_every_tensor() -> None:
     shapes = [(2, 2), (2, 3, 2), (2, 3), (2, 3, 3), (2, 3, 3), (2,), (2,), (2,), (1, 1, 3, 4)]
     inputs = [(0.1 + torch.rand(*shape, dtype=torch.float64)).requires_grad_() for shape in shapes]
     assert torch.autograd.gradcheck(evaluate, inputs)
-
-
-@pytest.mark.parametrize("z", [0.0, 1e-30, 1e4, math.inf])
-@pytest.mark.parametrize("rate", [0.0, 0.5, 1e4])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_gradients_are_finite_at_the_ends(z: float, rate: float, dtype: torch.dtype) -> None:
-    def leaf(value: float, *shape: int) -> torch.Tensor:
-        return torch.full(shape, value, dtype=dtype, requires_grad=True)
-
-    rates, veil, distance = leaf(rate, 3), leaf(0.3, 3), leaf(z, 1, 1, 2, 2)
-    medium = Medium.from_coefficients(rates, rates, veil, b_mean=leaf(rate, 1))
-    medium = replace(medium, scale=leaf(2.0, 1), exponent=leaf(0.5, 1))
-    sum(getattr(medium, name)(distance).sum() for name in CURVES).backward()
-    assert all(t.grad is not None and t.grad.isfinite().all() for t in (rates, veil, distance))
-    assert not medium.width(distance).isnan().any()
 
 
 # ---- the width law
