@@ -45,6 +45,20 @@ def normal(name: str) -> str:
     return f"{stem}{end.lower()}"
 
 
+def aliases(name: str, *folders: str) -> list[str]:
+    """Paths of a picture in a folder of labels or distances, which lies beside the folder of
+    pictures, or above both. images/train/1.png may be train/1.png there, or have one of `folders`
+    in place of "images".
+    """
+    parts = name.split("/")
+    paths = [name, *(f"{folder}/{name}" for folder in folders)]
+    last = max((i for i, folder in enumerate(parts[:-1]) if folder in PICTURES), default=None)
+    if last is not None:
+        for middle in ([], *([folder] for folder in folders)):
+            paths.append("/".join([*parts[:last], *middle, *parts[last + 1 :]]))
+    return paths
+
+
 class Files:
     """Files by their names in normal form; each folder is listed once."""
 
@@ -59,6 +73,22 @@ class Files:
             if file is not None and file.is_file():
                 return file
         return None
+
+    def of(
+        self,
+        picture: Path,
+        name: str,
+        folder: Path,
+        ends: Sequence[str],
+        folders: Iterable[str] = (),
+    ) -> Path | None:
+        """The file of a picture in a folder of such: that of its name, or an alias, with one of the
+        ends; but not the picture itself.
+        """
+        stems = (os.path.splitext(alias)[0] for alias in aliases(name, *folders))
+        files = (self.at(folder / stem, (end,)) for stem in stems for end in ends)
+        own = os.path.realpath(picture)
+        return next((f for f in files if f is not None and os.path.realpath(f) != own), None)
 
     def below(self, folder: Path, path: str) -> Path | None:
         """The file in a folder whose path ends as another does, in as many parts as it can."""

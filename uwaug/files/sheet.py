@@ -60,7 +60,6 @@ def drawn_sheet(
 
 
 def _label(*lines: str) -> Image.Image:
-    """Lines of text, cut off where the next picture begins."""
     label = Image.new("RGB", (_WIDTH_PX - _GAP_PX, 3 * _LINE_PX), "white")
     text = "\n".join(lines).encode("ascii", "replace").decode()
     ImageDraw.Draw(label).multiline_text((0, 0), text, "black")
@@ -68,7 +67,6 @@ def _label(*lines: str) -> Image.Image:
 
 
 def _small(picture: Tensor) -> Image.Image:
-    """A thumbnail of a picture (3xHxW)."""
     if picture.dtype != torch.uint8:
         picture = (picture.clamp(0, 1) * 255).to(torch.uint8)
     small = Image.fromarray(np.ascontiguousarray(picture.permute(1, 2, 0).numpy()))
