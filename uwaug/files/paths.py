@@ -133,32 +133,32 @@ def matched(
     for picture in pictures:
         parts = _reversed_parts(os.path.abspath(picture), left_out)
         named[parts[0]].append((picture, parts))
-    lengths: list[dict[Path, int]] = []
+    best_of: list[tuple[int, list[Path]]] = []
     longest: dict[Path, int] = {}
     for line in lines:
-        parts = _reversed_parts(line, left_out)
+        parts, lengths = _reversed_parts(line, left_out), {}
         is_whole = whole and not _ABSOLUTE.match(line)
         least = len(parts) if is_whole else min(2, len(parts))
-        lengths.append({})
-        for picture, others in named.get(parts[0], ()) if parts else ():
+        for picture, others in named.get(parts[0], ()):
             pairs = zip(parts, others, strict=False)
             length = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
             before = [folder for p in (parts, others) for folder in p[length : length + 1]]
             splits = {split_of([folder]) for folder in before} - {None}
             is_other = len(splits) == 2 or len(before) > len({_NUMBER.sub("", f) for f in before})
             if length >= least and not is_other:
-                lengths[-1][picture] = length
+                lengths[picture] = length
                 longest[picture] = max(length, longest.get(picture, 0))
+        most = max(lengths.values(), default=0)
+        best_of.append((most, [p for p, length in lengths.items() if length == most]))
     matches: dict[Path, list[tuple[int, int]]] = defaultdict(list)
-    for place, of_line in enumerate(lengths):
-        best = [p for p, length in of_line.items() if length == max(of_line.values())]
+    for place, (length, best) in enumerate(best_of):
         if len(best) > 1:  # some may have a longer line
-            best = [picture for picture in best if of_line[picture] == longest[picture]]
+            best = [picture for picture in best if longest[picture] == length]
         if len(best) > 1:
             got = f"{lines[place]} may be {best[0]} or {best[1]}"
             raise ValueError(f"{got}: give the pictures of one folder")
         for picture in best:
-            matches[picture].append((of_line[picture], place))
+            matches[picture].append((length, place))
     lengths_of = {picture: max(ends)[0] for picture, ends in matches.items()}
     roots = {picture: picture.absolute().parents[n - 1] for picture, n in lengths_of.items()}
     places, outer = {}, {*roots.values()}

@@ -54,9 +54,9 @@ def drawn_sheet(
             sheet.paste(_small(picture), (x, y))
             sheet.paste(_label(file.name, words), (x, y + _HEIGHT_PX))
             x += _WIDTH_PX
-    file = io.BytesIO()
-    sheet.save(file, "JPEG", quality=90)
-    return file.getvalue()
+    jpeg = io.BytesIO()
+    sheet.save(jpeg, "JPEG", quality=90)
+    return jpeg.getvalue()
 
 
 def _label(*lines: str) -> Image.Image:
