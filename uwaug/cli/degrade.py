@@ -239,7 +239,6 @@ def _grades(severity: str) -> dict[str, float | None]:
 
 
 def _print_summary(summary: "Summary", out: Path, labels: str | None) -> None:
-    """Print what became of a run."""
     print_counts(summary, "pictures", out)
     if labels is not None:
         count, kept = summary.objects

@@ -57,8 +57,6 @@ def write_maps(
 
 
 class _Maps(Work):
-    """Maps of a network."""
-
     def __init__(self, network: Network, out: Path) -> None:
         plain = codec.to_plain(network)  # refuses a function
         assert network.file is not None

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from uwaug.files.folder import manifest_of
-from uwaug.files.labels import aliases
-from uwaug.files.paths import Files, matched, time_of
+from uwaug.files.paths import Files, aliases, matched, time_of
 from uwaug.files.pictures import ENDINGS, MAP_ENDINGS, holds_picture
 from uwaug.files.record import record_of
 
@@ -162,7 +161,6 @@ def cure_of(end: str) -> str:
 def _inside(
     folder: Path, exclude: Iterable[str | Path | None], endings: tuple[str, ...]
 ) -> Iterator[Path]:
-    """Files with one of the endings in a folder and its subfolders that no run has written."""
     excluded = (os.path.realpath(place) for place in exclude if place is not None)
     manifest = manifest_of(folder) or {"files": (), "lists": ()}
     written = {folder / name for name in (*manifest["files"], *manifest["lists"])}
@@ -250,22 +248,24 @@ def _map(distance: str | Path | None, path: Path, name: str, files: Files) -> Pa
     """File of the distances of a picture, by `distance` of `find_items`."""
     if distance is None or Path(distance).is_file():
         return None if distance is None else Path(distance)
-    is_pattern = _STEM.search(str(distance))
-    pattern = str(distance) if is_pattern else f"{distance}/{{stem}}"
+    pattern = str(distance)
+    if not _STEM.search(pattern):
+        is_exr = path.suffix.lower() == ".exr"  # which may be its own map
+        ends = (*MAP_ENDINGS, *_MARKED_ENDS)
+        file = files.of(Path() if is_exr else path, name, Path(distance), ends)
+        return file or Path(distance) / os.path.splitext(aliases(name)[0])[0]
     stems, folder = [os.path.splitext(alias)[0] for alias in aliases(name)], Path()
     if not os.path.dirname(pattern):
         stems, folder = [path.stem], path.parent
     bases = [folder / _filled(pattern, stem) for stem in stems]
-    # an EXR may be its own map; any other picture matches where the part to replace is not there
+    # any picture but an EXR matches where the part to replace is not there
     words = [re.escape(new) for _, new in _STEM.findall(pattern) if new]
     is_map = any(re.search(rf"(?<![^\W_]){word}(?![^\W_])", stems[0]) for word in words)
     picture = None if is_map or path.suffix.lower() == ".exr" else os.path.realpath(path)
-    ends = ("", *MAP_ENDINGS) if is_pattern else ("", *MAP_ENDINGS, *_MARKED_ENDS)
-    paths = filter(None, (files.at(base, (end,)) for base in bases for end in ends))
-    maps = (file for file in paths if os.path.realpath(file) != picture)
+    paths = (files.at(base, (end,)) for base in bases for end in ("", *MAP_ENDINGS))
+    maps = (file for file in paths if file is not None and os.path.realpath(file) != picture)
     return next(maps, bases[0].with_suffix("") if bases[0].suffix in MAP_ENDINGS else bases[0])
 
 
 def _filled(pattern: str, stem: str) -> str:
-    """A pattern with the name of a picture in place of {stem}."""
     return _STEM.sub(lambda m: stem.replace(m[1], m[2]) if m[1] else stem, pattern)

@@ -5,14 +5,13 @@ A format is a class of `Labels` in a file of its own, named in `formats.py`. Not
 formats. This file loads neither NumPy nor PyTorch, as command lines ask formats what they read.
 """
 
-import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 from uwaug._support.atomic import written_whole
-from uwaug.files.paths import PICTURES, Files
+from uwaug.files.paths import Files
 from uwaug.files.record import digest
 
 if TYPE_CHECKING:
@@ -120,11 +119,7 @@ class Folder(Labels):
     def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
         of, files = {}, Files()
         for item in items:
-            stems = (os.path.splitext(name)[0] for name in aliases(item.name, *cls.folders))
-            candidates = filter(None, (files.at(path / stem, cls.ends()) for stem in stems))
-            picture = os.path.realpath(item.picture)
-            file = next((f for f in candidates if os.path.realpath(f) != picture), None)
-            if file is not None:
+            if file := files.of(item.picture, item.name, path, cls.ends(), cls.folders):
                 of[item.name] = file
         if not of:
             expected = (path / items[0].name).with_suffix(cls.end)
@@ -189,20 +184,6 @@ def judged(labels: Labels, name: str, contrast: "Tensor", limit: float | None) -
         share = round(float(inside.mean(dtype="float64")), 4) if inside.size else 0.0
         objects.append(Judged(key, share, limit is None or share >= limit))
     return objects
-
-
-def aliases(name: str, *folders: str) -> list[str]:
-    """Paths of a picture in a folder of labels or distances, which lies beside the folder of
-    pictures, or above both. images/train/1.png may be train/1.png there, or have one of `folders`
-    in place of "images".
-    """
-    parts = name.split("/")
-    paths = [name, *(f"{folder}/{name}" for folder in folders)]
-    last = max((i for i, folder in enumerate(parts[:-1]) if folder in PICTURES), default=None)
-    if last is not None:
-        for middle in ([], *([folder] for folder in folders)):
-            paths.append("/".join([*parts[:last], *middle, *parts[last + 1 :]]))
-    return paths
 
 
 def require_size(file: Path, stated: "Size", size: "Size") -> None:

@@ -45,6 +45,20 @@ def normal(name: str) -> str:
     return f"{stem}{end.lower()}"
 
 
+def aliases(name: str, *folders: str) -> list[str]:
+    """Paths of a picture in a folder of labels or distances, which lies beside the folder of
+    pictures, or above both. images/train/1.png may be train/1.png there, or have one of `folders`
+    in place of "images".
+    """
+    parts = name.split("/")
+    paths = [name, *(f"{folder}/{name}" for folder in folders)]
+    last = max((i for i, folder in enumerate(parts[:-1]) if folder in PICTURES), default=None)
+    if last is not None:
+        for middle in ([], *([folder] for folder in folders)):
+            paths.append("/".join([*parts[:last], *middle, *parts[last + 1 :]]))
+    return paths
+
+
 class Files:
     """Files by their names in normal form; each folder is listed once."""
 
@@ -59,6 +73,22 @@ class Files:
             if file is not None and file.is_file():
                 return file
         return None
+
+    def of(
+        self,
+        picture: Path,
+        name: str,
+        folder: Path,
+        ends: Sequence[str],
+        folders: Iterable[str] = (),
+    ) -> Path | None:
+        """The file of a picture in a folder of such: that of its name, or an alias, with one of the
+        ends; but not the picture itself.
+        """
+        stems = (os.path.splitext(alias)[0] for alias in aliases(name, *folders))
+        files = (self.at(folder / stem, (end,)) for stem in stems for end in ends)
+        own = os.path.realpath(picture)
+        return next((f for f in files if f is not None and os.path.realpath(f) != own), None)
 
     def below(self, folder: Path, path: str) -> Path | None:
         """The file in a folder whose path ends as another does, in as many parts as it can."""
@@ -103,32 +133,32 @@ def matched(
     for picture in pictures:
         parts = _reversed_parts(os.path.abspath(picture), left_out)
         named[parts[0]].append((picture, parts))
-    lengths: list[dict[Path, int]] = []
+    best_of: list[tuple[int, list[Path]]] = []
     longest: dict[Path, int] = {}
     for line in lines:
-        parts = _reversed_parts(line, left_out)
+        parts, lengths = _reversed_parts(line, left_out), {}
         is_whole = whole and not _ABSOLUTE.match(line)
         least = len(parts) if is_whole else min(2, len(parts))
-        lengths.append({})
-        for picture, others in named.get(parts[0], ()) if parts else ():
+        for picture, others in named.get(parts[0], ()):
             pairs = zip(parts, others, strict=False)
             length = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
             before = [folder for p in (parts, others) for folder in p[length : length + 1]]
             splits = {split_of([folder]) for folder in before} - {None}
             is_other = len(splits) == 2 or len(before) > len({_NUMBER.sub("", f) for f in before})
             if length >= least and not is_other:
-                lengths[-1][picture] = length
+                lengths[picture] = length
                 longest[picture] = max(length, longest.get(picture, 0))
+        most = max(lengths.values(), default=0)
+        best_of.append((most, [p for p, length in lengths.items() if length == most]))
     matches: dict[Path, list[tuple[int, int]]] = defaultdict(list)
-    for place, of_line in enumerate(lengths):
-        best = [p for p, length in of_line.items() if length == max(of_line.values())]
+    for place, (length, best) in enumerate(best_of):
         if len(best) > 1:  # some may have a longer line
-            best = [picture for picture in best if of_line[picture] == longest[picture]]
+            best = [picture for picture in best if longest[picture] == length]
         if len(best) > 1:
             got = f"{lines[place]} may be {best[0]} or {best[1]}"
             raise ValueError(f"{got}: give the pictures of one folder")
         for picture in best:
-            matches[picture].append((of_line[picture], place))
+            matches[picture].append((length, place))
     lengths_of = {picture: max(ends)[0] for picture, ends in matches.items()}
     roots = {picture: picture.absolute().parents[n - 1] for picture, n in lengths_of.items()}
     places, outer = {}, {*roots.values()}

@@ -54,13 +54,12 @@ def drawn_sheet(
             sheet.paste(_small(picture), (x, y))
             sheet.paste(_label(file.name, words), (x, y + _HEIGHT_PX))
             x += _WIDTH_PX
-    file = io.BytesIO()
-    sheet.save(file, "JPEG", quality=90)
-    return file.getvalue()
+    jpeg = io.BytesIO()
+    sheet.save(jpeg, "JPEG", quality=90)
+    return jpeg.getvalue()
 
 
 def _label(*lines: str) -> Image.Image:
-    """Lines of text, cut off where the next picture begins."""
     label = Image.new("RGB", (_WIDTH_PX - _GAP_PX, 3 * _LINE_PX), "white")
     text = "\n".join(lines).encode("ascii", "replace").decode()
     ImageDraw.Draw(label).multiline_text((0, 0), text, "black")
@@ -68,7 +67,6 @@ def _label(*lines: str) -> Image.Image:
 
 
 def _small(picture: Tensor) -> Image.Image:
-    """A thumbnail of a picture (3xHxW)."""
     if picture.dtype != torch.uint8:
         picture = (picture.clamp(0, 1) * 255).to(torch.uint8)
     small = Image.fromarray(np.ascontiguousarray(picture.permute(1, 2, 0).numpy()))

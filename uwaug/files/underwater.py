@@ -187,8 +187,6 @@ def _labels_note(labels: Labels, items: Sequence[Item]) -> str:
 
 
 class _Underwater(Work):
-    """Pictures under water, by a recipe."""
-
     def __init__(self, recipe: Recipe, out: Path) -> None:
         plain = codec.to_plain(recipe)
         files = {str(file): digest(file) for file in _files_of(plain["transform"])}
@@ -246,7 +244,6 @@ class _Underwater(Work):
         return [*super().files(job), *([] if self.recipe.maps is None else self._maps(job.place))]
 
     def _maps(self, place: str) -> list[Path]:
-        """Files of the maps of a result."""
         stem = (self.out / "maps" / place).with_suffix("")
         return [stem.with_name(f"{stem.name}_{name}.{self.recipe.maps}") for name in MAPS]
 
@@ -263,7 +260,6 @@ class _Underwater(Work):
 
 
 def _files_of(value: Any) -> Iterator[Path]:
-    """Files that options name, such as those of waters and cameras."""
     if isinstance(value, (dict, list, tuple)):
         for part in value.values() if isinstance(value, dict) else value:
             yield from _files_of(part)
@@ -311,7 +307,6 @@ def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
 
 
 def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:
-    """A job for each variant of each picture."""
     frames = frames_of(items, recipe.rig) if recipe.sequence else {}
     for item in items:
         place = item.name if labels is None else labels.place(item.name)

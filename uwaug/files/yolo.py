@@ -30,7 +30,7 @@ class Yolo(Folder):
 
     Attributes:
         description: content of the data.yaml.
-        told: sentences on where classes are from, if that may be wrong.
+        told: sentences on where classes are from.
         splits: splits of each picture that the description names for it.
     """
 
@@ -71,28 +71,14 @@ class Yolo(Folder):
             if len(contents) > 1:
                 raise ValueError(f"{folder}: more than one .yaml has names: call one data.yaml")
             for file, content in contents.items():
-                source = file if "names" in content else source
-                described = replace(self, description=classes | content)
-                return described._with_told(source, lists, is_own=file == own)
+                classes, source = classes | content, file if "names" in content else source
+                return replace(self, description=classes, told=_told(source, classes, lists))
         counts = {len(numbers) for file in samples if (numbers := _first(file))}
         if len(counts) == 1 and min(counts) > 6:
             got = f"{samples[0]}: objects of {min(counts)} numbers are polygons, or have keypoints"
             cure = "say kpt_shape: [how many, 2 or 3], or of polygons nothing but names"
             raise ValueError(f"{got}: {cure}, in {self.path / 'data.yaml'}")
-        return replace(self, description=classes)._with_told(source, lists, is_own=True)
-
-    def _with_told(
-        self, source: Path | None, lists: Mapping[Path, list[str]], *, is_own: bool
-    ) -> Self:
-        """The labels with a sentence on where classes are from, if they may be from elsewhere."""
-        names = self.description.get("names", [])
-        names = [*names.values()] if isinstance(names, dict) else names
-        others = [str(file) for file, own in lists.items() if own != names]
-        is_far = source is not None and source.parent == self.path.parent.parent
-        if not others and is_own and not is_far:
-            return self
-        rest = f", not of {others[0]}" if others else ""
-        return replace(self, told=[f"classes are those of {source}{rest}"])
+        return replace(self, description=classes, told=_told(source, classes, lists))
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         from uwaug.files.pixels import of_box, of_polygons
@@ -216,6 +202,14 @@ class Yolo(Folder):
         lists = {f"{split}.txt": text.encode() for split, text in splits.items()}
         text = yaml.safe_dump(entries, sort_keys=False, allow_unicode=True)
         return {**lists, "data.yaml": text.encode()}, notes
+
+
+def _told(source: Path | None, classes: Entry, lists: Mapping[Path, list[str]]) -> list[str]:
+    """A sentence on where classes are from, and on a list that names others."""
+    names = classes.get("names", [])
+    names = [*names.values()] if isinstance(names, dict) else names
+    rest = "".join([f", not of {file}" for file, own in lists.items() if own != names][:1])
+    return [f"classes are those of {source}{rest}"] if source else []
 
 
 def _first(file: Path) -> list[float]:
