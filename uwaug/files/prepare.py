@@ -113,7 +113,8 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
                 z = recipe.read_map(item)
                 if z is not None:
                     (draw,) = recipe.drawn(item.name, 0)["samples"]
-                    source.metres(z, image, draw["distance"])
+                    focal_px = 0.866 * image.shape[-1]  # 60°, until there is a View
+                    source.metres(z, image, draw["distance"], focal_px=focal_px)
                     if isinstance(source, Metres) and source.holes == "error":
                         _require_range(z)
             except Exception as error:

@@ -246,8 +246,9 @@ def _metres_of(
             if source.reads_pictures and color_space == "linear":
                 light = picture if picture.is_floating_point() else picture / 255
                 srgb = linear_to_srgb(light.clamp(0, 1))
+            focal_px = 0.866 * picture.shape[-1]  # 60°, until there is a View
             with naming(i, len(pictures)):
-                metres = source.metres(metres, srgb, draw.distance)
+                metres = source.metres(metres, srgb, draw.distance, focal_px=focal_px)
         if metres.dtype.itemsize < 4:
             metres = metres.float()
         results.append(brought_to(picture.shape[-2:], metres))
