@@ -24,7 +24,7 @@ STAGES = {"d2": 1, "d3": 3, "d4": 3, "d5": 1}
 POOLED_PX = (5, 9, 13)
 """Windows of the last stage."""
 
-PIXELS = 16384
+PIXELS = 12288
 """Size of the copy that the network sees."""
 
 Convolve = Callable[[str, Tensor, int], Tensor]
@@ -93,7 +93,7 @@ def small_copy(picture: Tensor) -> Tensor:
     """
     scale = math.sqrt(PIXELS / picture[0].numel())
     sides = [min(max(32 * round(side * scale / 32), 32), 512) for side in picture.shape[1:]]
-    every = max(1, int(0.25 / scale))  # four samples along each side of a small pixel will do
+    every = max(1, int(0.5 / scale))  # two samples along each side of a small pixel will do
     sampled = picture[:, ::every, ::every].float()
     mode = "area" if scale < 1 else "bilinear"
     return interpolate(sampled[None], sides, mode=mode)[0].cpu()

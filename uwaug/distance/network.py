@@ -144,7 +144,8 @@ class Network(Source):
         session = cast(Session, self._session)
         entry = session.opened.get_inputs()[0]
         channels, *sides = entry.shape[1:] if len(entry.shape) == 4 else [0, 0, 0]
-        if channels not in (3, None) and not isinstance(channels, str) or entry.type not in _TYPES:
+        are_colours = channels in (3, None) or isinstance(channels, str)
+        if not are_colours or entry.type not in _TYPES:
             expected = "(1, 3, h, w) of floating point"
             raise ValueError(f"{self.model} must take {expected}, got {entry.shape}, {entry.type}")
         short, long = sorted(image.shape[-2:])
