@@ -156,7 +156,8 @@ def _guided(values: Floats, colours: Floats) -> Floats:
     red = (rv - rg * green - rb * blue) / rr
     slopes = np.stack([red, green, blue])
     start = means[3] - (slopes * means[:3]).sum(0)
-    return down @ np.concatenate([slopes, start[None]]) @ across.T
+    lines: Floats = down @ np.concatenate([slopes, start[None]]) @ across.T
+    return lines
 
 
 @cache
@@ -164,7 +165,8 @@ def _box(size: int) -> Floats:
     """Matrix that takes means over windows of a line."""
     places = np.arange(size)
     window = abs(places[:, None] - places) <= _GUIDE_PX
-    return (window / window.sum(1, keepdims=True)).astype(np.float32)
+    box: Floats = (window / window.sum(1, keepdims=True)).astype(np.float32)
+    return box
 
 
 def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
@@ -175,8 +177,9 @@ def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
         loop(lines, picture.numpy(), *places, np.float32(highest), result)
         return torch.from_numpy(result)
     weights = torch.from_numpy(lines).to(picture.device)[None]
-    slopes, start = interpolate(weights, picture.shape[1:], mode="bilinear")[0].split((3, 1))
-    return (slopes * picture.float()).sum(0).add_(start[0]).clamp_(0, highest)
+    large = interpolate(weights, picture.shape[1:], mode="bilinear")[0]
+    large[:3].mul_(picture)
+    return large.sum(0).clamp_(0, highest)
 
 
 def _places(small: int, large: int) -> tuple[Any, Floats]:

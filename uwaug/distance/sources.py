@@ -128,8 +128,8 @@ class Metres(Source):
                 z = torch.where(stand_in, torch.inf, z)
             z = torch.where(range_end(z), torch.inf, z)
         if self.planar:
+            focal_px = focal_px or 0.0
             checks.positive("focal_px", focal_px, "px")
-            assert focal_px is not None
             (h, w), (height, width) = z.shape[-2:], image.shape[-2:]
             x, y = center or (width / 2, height / 2)
             z = along_ray(
