@@ -9,7 +9,7 @@ import time
 from benchmarks.harness import measure_eager
 
 PARTS = {
-    "model": "speed",
+    "model": "accuracy",
     "frontier": "speed",
     "planner": "accuracy",
     "stability": "accuracy",
@@ -21,7 +21,6 @@ PARTS = {
     "like": "accuracy",
     "training": "evidence",
     "throughput": "speed",
-    "jobs": "speed",
     "page": "speed",
     "gallery": "figures",
     "summary": "figures",

@@ -92,20 +92,6 @@ def race(
     return found
 
 
-def peak_of(run: Callable[[], object]) -> int:
-    """Bytes that a call takes at most, above what the process holds before it. Linux."""
-    Path("/proc/self/clear_refs").write_text("5")  # let the peak begin here
-    before = _peak_bytes()
-    run()
-    return _peak_bytes() - before
-
-
-def _peak_bytes() -> int:
-    status = Path("/proc/self/status").read_text()
-    (line,) = (line for line in status.splitlines() if line.startswith("VmHWM"))
-    return 1024 * int(line.split()[1])
-
-
 def printed(code: str, *arguments: str, **environment: str) -> str:
     """What Python code prints in a process of its own."""
     done = subprocess.run(

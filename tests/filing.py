@@ -8,6 +8,8 @@ import tifffile
 from imagecodecs import png_encode
 from PIL import Image
 
+from uwaug.files.folder import MANIFEST
+
 H, W = 12, 16
 
 
@@ -43,10 +45,10 @@ def save(path: str | Path, values: Any, **options: Any) -> Path:
 
 
 def content(folder: str | Path) -> dict[str, bytes]:
-    """All files in a folder, by their names."""
+    """All files in a folder but the manifests of runs, by their names."""
     found = {}
     for path in sorted(Path(folder).rglob("*")):
-        if path.is_file():
+        if path.is_file() and path.name != MANIFEST:
             found[path.relative_to(folder).as_posix()] = path.read_bytes()
     return found
 

@@ -1,8 +1,8 @@
 """The physics referee: our own Monte Carlo random walk (`referees.transport`) against the laws
 for g, width and shape of the point spread.
 
-`python -m benchmarks.accuracy.physics` writes results/physics.json and figures/physics.png and
-prints the tables.
+`python -m benchmarks.accuracy.physics` writes results/physics.json and prints the
+tables.
 """
 
 import json
@@ -270,9 +270,7 @@ def main(quick: bool = False) -> None:
         "each": each,
         "errors": errors,
     }
-    from benchmarks.figures.charts import draw_physics
-
-    print(save("physics", results), draw_physics(spreads, found, errors))
+    print(save("physics", results))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""The charts of the benchmarks: error against time, light transport.
+"""The chart of the frontier: error against time.
 
-`python -m benchmarks.figures.charts` draws the first from its results.
+`python -m benchmarks.figures.charts` draws it from its results.
 """
 
 import json
@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -21,13 +21,9 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from matplotlib.transforms import Bbox
 from PIL import Image
-from referees.transport import EDGES, LENGTHS, Spread, chosen
 
 from benchmarks.harness import RESULTS
 from uwaug._support.atomic import written_whole
-
-if TYPE_CHECKING:
-    from benchmarks.accuracy.physics import Errors, Law, Spreads
 
 FIGURES = Path(__file__).parent
 DEFAULT, OURS, RIVAL, FRONT = "#c1272d", "#0b6e99", "#7a7a7a", "#e8a33d"
@@ -39,19 +35,6 @@ STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.titlesize": 9,
-}
-_WALKS = {"HG 0.85": "C0", "HG 0.924": "C1", "AUTEC 7": "C2", "HAOCE 11": "C3", "NUC 2200": "C4"}
-# colour and dashes of its line, colour of its bars
-_LAWS = {
-    "paper": ("0.0", ":", "0.75"),
-    "one Gaussian, HG .924 (former)": ("0.0", "--", "0.5"),
-    "calibrated": ("0.0", "-", "#1f6fb4"),
-    "two Gaussians, refitted": ("0.6", "-", "#8fbbe0"),
-}
-_TRUTHS = {
-    "HG 0.924": "HG .924",
-    "Petzold": "Petzold's stations",
-    "pictures": "pictures (HG .924)",
 }
 _COMPASS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
 _STEPS = [(r * dx, r * dy) for r in (8, 12, 17, 24, 32, 42, 56, 72) for dx, dy in _COMPASS]
@@ -71,13 +54,6 @@ class Point(NamedTuple):
 
 def draw_frontier(results: dict[str, Any]) -> Path:
     return save_small(frontier_figure(results), "frontier")
-
-
-def draw_physics(spreads: "Spreads", laws: "dict[str, Law]", errors: "Errors") -> Path:
-    path = FIGURES / "physics.png"
-    with written_whole(path) as part:
-        physics_figure(spreads, laws, errors).savefig(part, format="png", dpi=85)
-    return path
 
 
 def save_small(figure: Figure, name: str) -> Path:
@@ -272,50 +248,6 @@ def plain_numbers(axis: Axis) -> None:
     axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
     axis.set_minor_formatter(NullFormatter())
-
-
-def physics_figure(spreads: "Spreads", laws: "dict[str, Law]", errors: "Errors") -> Figure:
-    """Walks against laws: g, width, shape, and the error of the laws."""
-    figure = Figure((11, 7.6), layout="constrained")
-    axes = figure.subplots(2, 2)
-    (left, right), (shape, bars) = axes
-    radius = np.geomspace(3e-5, 3, 300)
-    for name, colour in _WALKS.items():
-        row: list[Spread] = [chosen(spreads[name], x, 0.4) for x in LENGTHS]
-        dots = {"ms": 4, "color": colour}
-        left.plot(LENGTHS, [s.figures["g"] for s in row], "o-", label=name, **dots)
-        right.loglog(LENGTHS, [s.figures["q50"] for s in row], "o-", **dots)
-        shape.semilogx(radius, np.interp(radius, EDGES[1:], row[3].encircled), color=colour, lw=2)
-    for name, (colour, dashes, _) in _LAWS.items():
-        law, line = laws[name], {"color": colour, "ls": dashes, "lw": 1.2}
-        within = [law.encircled(x, radius) for x in LENGTHS]
-        medians = [np.interp(0.5, share, radius) for share in within]
-        left.axhline(law.g, **line)
-        right.plot(LENGTHS, medians, label=name, **line)
-        shape.plot(radius, within[3], **line)
-    seen = "share of scattered light within"
-    left.set(xlabel="b·z", ylabel="effective g")
-    left.set_title("Share of scattered light that is lost (a/b = 0.4)")
-    right.set(xlabel="b·z", ylabel="median tangent of scattered light", title="Width")
-    shape.set(xlabel="tangent", ylabel=seen, title="Shape at b·z = 1")
-    corner = {"bbox_to_anchor": (0, 0.94), "loc": "upper left"}
-    left.legend(frameon=False, fontsize=8, title="Monte Carlo", **corner)
-    right.legend(frameon=False, fontsize=8, title="laws")
-    _physics_bars(bars, errors)
-    for panel in axes.flat:
-        panel.spines[["top", "right"]].set_visible(False)
-    return figure
-
-
-def _physics_bars(axes: Axes, errors: "Errors") -> None:
-    for n, (name, (_, _, colour)) in enumerate(_LAWS.items()):
-        values = [errors[name][truth] for truth in _TRUTHS]
-        bar = axes.bar(np.arange(3) + 0.2 * n - 0.3, values, 0.18, color=colour)
-        axes.bar_label(bar, [f"{value:.3f}"[1:] for value in values], fontsize=7)
-        bar.set_label(name)
-    axes.set_xticks(range(3), tuple(_TRUTHS.values()))
-    axes.set(ylabel="mean RMSE of D + F", title="Error of the laws, b·z = 0.1 … 5")
-    axes.legend(frameon=False, fontsize=8)
 
 
 if __name__ == "__main__":

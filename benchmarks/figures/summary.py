@@ -32,6 +32,18 @@ TRUTHS = {
     "six pictures, .924": "pictures",
 }
 
+CHANGED = (
+    "defaults",
+    "Jerlov types alone",
+    "contrast .1–.9",
+    "daylight",
+    "grey surfaces",
+    "white_balance −.5…1",
+)
+"""The draws that stand beside photographs."""
+
+RECIPE = "recipe, as published (OpenCV), float32"
+
 Results = dict[str, Any]
 
 
@@ -47,45 +59,32 @@ def table(head: list[str], rows: list[list[str]]) -> str:
 
 def accuracy() -> str:
     """How near the model is to what it stands for."""
-    model, planner = load("model"), load("planner")
+    model, planner, draws = load("model"), load("planner"), load("draws")
     machine = model["machine"]
     on = f"{machine['processor']}, torch {machine['versions']['torch']}, one thread"
     rows = planner["rows"]
     largest, worst = (max(row[key] for row in rows) for key in ("rmse", "max"))
-    unblurred = sum(not row["blurred"] for row in rows)
+    default = [row for row in model["blur"] if row["tolerance"] == 0.002]
+    low, high = min(row["blurs"] for row in default), max(row["blurs"] for row in default)
+    psnr = min(row["psnr_db"] for row in default)
+    error = max(row["error"] for row in model["curves"])
     ours = load("stability")["counts"]["uwaug"]
-    draws = load("draws")
     right = min(ours["value"]["right"], ours["gradient"]["right"])
     conditions = sum(ours["value"].values())
     paragraphs = [
-        f"Measured by `python -m benchmarks` ({on}); `python -m benchmarks.figures.summary` writes "
-        "the numbers of `benchmarks/results` here.",
-        "**Blur**, against each pixel's own Gaussian, on the bundled scene (sRGB values, 3000 "
-        "pixels):",
-        _blur_table(model),
-        "**Curves**, at a tolerance of .002, against 61 bands at any distance (vertical depth 0, "
-        "1, 10 m; g 0, .2, 1). Rates of the direct term + rates that signal and veil share, for "
-        "all three channels:",
-        _curve_table(model),
-        "**Image**, in ten waters, three ranges of distance and two width laws: "
-        f"{planner['within']} of {len(rows)} pictures have an RMSE within .002 of linear light, "
-        f"the tolerance. The largest is {largest:.4f}, that of a single value {worst:.4f}. "
-        f"With one blur less, {planner['one_less_breaks']} of "
-        f"{planner['with_blurs']} would exceed half of it. {unblurred} need no blur.",
-        "**Published implementation**: direct, forward (before its blur) and veil agree with it to "
-        "1e-5 where conventions agree.",
-        "**Light transport**, mean RMSE of direct and forward-scattered light against our own "
-        "Monte Carlo walk over 0.1 to 5 scattering lengths, and in six Monte Carlo pictures "
-        "(`python -m benchmarks.accuracy.physics`):",
+        f"By `python -m benchmarks` ({on}).",
+        f"**Blur**, by {low} to {high} blurs, is within {psnr:.0f} dB of each pixel's own Gaussian "
+        f"of .75 to 60 px. **Curves** are within {error:.4f} of sums over 61 bands. The **image** "
+        f"has an RMSE of {largest:.4f} of linear light at most, in {len(rows)} cases of water, "
+        f"distance and blur; a single value is {worst:.4f} off.",
+        "**Light transport** (`physics`): mean RMSE of direct and forward-scattered light against "
+        "Monte Carlo transport over 0.1 to 5 scattering lengths, and in six Monte Carlo pictures:",
         _transport_table(load("physics")),
-        "**Real photographs** (`python -m benchmarks.accuracy.draws`): 342 of seven sets, beside "
-        f"{draws['draws']} draws of each of 40 pictures in air, by the defaults and with one range "
-        "changed. Shares by 26 numbers of a picture / by the 12 that the water decides. Recall: "
-        "photographs within the range of draws. Coverage: photographs with a draw near. Precision: "
-        "draws within the range of photographs. Clipped density: draws that might be photographs. "
-        "Clipped coverage: draws that would cover as much if they were photographs. Neon: half of "
-        "the pixels have a saturation above .9. Dead: the mean of a channel is below .02. Neutral: "
-        "the mean colour is nearly grey. The last three are medians.",
+        "**Real photographs** (`draws`): 342 of seven sets, beside "
+        f"{draws['draws']} draws of each of 40 pictures in air. Recall: photographs within the "
+        "range of draws. Coverage: photographs with a draw near. Precision: draws within the range "
+        "of photographs. Each by 26 numbers of a picture / by the 12 that water decides. Neon: "
+        "half of the pixels have a saturation above .9; 6 % of the photographs are so.",
         _photograph_table(draws["photographs"]),
         f"**Stability**: value and gradient are right in {right} of {conditions} hard conditions.",
         "![Methods against hard conditions: value and gradient of each](figures/stability.svg)",
@@ -94,42 +93,16 @@ def accuracy() -> str:
 
 
 def _photograph_table(rows: Results) -> str:
-    pairs = ["recall", "coverage", "precision", "clipped density", "clipped coverage"]
-    shares, medians = ["neon", "dead", "neutral"], ["chroma", "lightness", "log₂ R/G"]
-    # of neon and dead the photographs themselves must be asked: their numbers do not say
-    shown = [["photographs", *["–"] * len(pairs), "0.06", "0.01", "0.07", "30", "49", "−1.9"]]
-    for name, row in rows.items():
+    measures = ["recall", "coverage", "precision"]
+    shown = []
+    for name in CHANGED:
+        row = rows[name]
         cells = [
             " / ".join(f"{row[f'{measure}, {kind}']['mean']:.2f}" for kind in ("all", "water"))
-            for measure in pairs
+            for measure in measures
         ]
-        cells += [f"{row[share]['mean']:.2f}" for share in shares]
-        cells += [f"{row[median]['mean']:.3g}".replace("-", "−") for median in medians]
-        shown.append([name, *cells])
-    return table(["", *pairs, *shares, *medians], shown)
-
-
-def _blur_table(model: Results) -> str:
-    rows: dict[str, list[str]] = {}
-    for found in model["blur"]:
-        low, high = (f"{v:g}".removeprefix("0") for v in found["sigma_px"])
-        cells = rows.setdefault(f"{low}–{high} px", [])
-        cells.append(f"{found['psnr_db']:.0f} dB, {found['blurs']} blurs")
-    head = ["widths", "tolerance .01", ".002 (default)", ".0005"]
-    return table(head, [[widths, *cells] for widths, cells in rows.items()])
-
-
-def _curve_table(model: Results) -> str:
-    errors: dict[str, list[float]] = {}
-    for found in model["curves"]:
-        errors.setdefault(found["type"], []).append(found["error"])
-    rows = []
-    for found in model["curves"]:
-        if (found["depth_m"], found["g"]) == (1.0, 0.2):
-            name = found["type"]
-            rates = " + ".join(map(str, found["rates"]))
-            rows.append([name, rates, f"{max(errors[name]):.4f}"])
-    return table(["type", "rates at 1 m, g = .2", "largest error"], rows)
+        shown.append([name, *cells, f"{row['neon']['mean']:.2f}"])
+    return table(["", *measures, "neon"], shown)
 
 
 def _transport_table(physics: Results) -> str:
@@ -150,19 +123,17 @@ def surfaces() -> str:
     methods = found["errors"]["ColorChecker"]
     rows = []
     for method in methods:
-        row = ['`surfaces="spectral"`' if method == "basis" else method]
-        for errors in found["errors"].values():
-            row += [f"{errors[method][key]:.4f}" for key in ("mean", "worst")]
-        rows.append(row)
-    head = ["method", *(f"{name}, {key}" for name in found["errors"] for key in ("mean", "worst"))]
+        means = [f"{errors[method]['mean']:.4f}" for errors in found["errors"].values()]
+        worst = max(errors[method]["worst"] for errors in found["errors"].values())
+        name = '`surfaces="spectral"`' if method == "basis" else method
+        rows.append([name, *means, f"{worst:.3f}"])
+    head = ["method", *found["errors"], "worst"]
     places = found["places"]["ColorChecker"]
     paragraphs = [
-        "**Colours** (`python -m benchmarks.accuracy.surfaces`), against the spectra of the 24 "
-        "patches of the ColorChecker and of 99 CIE 2017 samples in 61 bands: RMSE in units of a "
-        f"white plate at the same place, in {places} places of ten waters (0 to 25 m deep, 0 to "
-        "8 m away) where such a plate keeps 1/64 of its light. All but the last have the camera's "
-        "colour matrix, so that one number and three wavelengths fairly multiply raw channels. The "
-        "last multiplies sRGB values, as published systems do, and uwaug with grey surfaces:",
+        "**Colours** (`surfaces`): RMSE of 24 patches of the ColorChecker and of 99 CIE 2017 "
+        f"samples against their spectra in 61 bands, white = 1, in {places} places of ten waters. "
+        "All but the last have the camera's colour matrix. The last multiplies sRGB values, as "
+        "published systems do:",
         table(head, rows),
         "![Red, green, skin and white against depth: truth, uwaug, one number a channel]"
         "(figures/surfaces.png)",
@@ -177,34 +148,23 @@ def chart() -> str:
         verdicts[panel["part"], panel["size"], panel["threads"]] = panel["verdict"]
     near = sum(verdict["within_10_percent"] for verdict in verdicts.values())
     paragraphs = [
-        "`python -m benchmarks.speed.frontier` tries every way that we know to compute each part: "
-        "error of the final image against time, 512², one thread. Our default is red, the line is "
-        "the Pareto front:",
+        "`python -m benchmarks frontier` tries every way that we know to compute each part: error "
+        "of the final image against time, 512², one thread. The default is red:",
         "![PSNR against time for blur, spectra, number formats and runtimes](figures/frontier.png)",
-        f"The default is on the front or within 10 % of it in {near} of {len(verdicts)} panels. "
-        "PSNR of the default without the loops, and the fastest method, if any, that is as "
-        "accurate:",
+        f"It is on the Pareto front or within 10 % of it in {near} of {len(verdicts)} panels. PSNR "
+        "of the default without the loops, and the fastest method that is as accurate:",
         _verdict_table(verdicts),
     ]
     return "\n\n".join(paragraphs)
 
 
 def _verdict_table(verdicts: dict[tuple[str, int, int], Results]) -> str:
-    head, settings = [""], dict.fromkeys((size, threads) for _, size, threads in verdicts)
-    for size, threads in settings:
-        head.append(f"{size}², {threads} thread{'s' * (threads > 1)}")
-    rows = []
-    for part in dict.fromkeys(part for part, *_ in verdicts):
-        row = [part]
-        for size, threads in settings:
-            row.append(_stands(verdicts.get((part, size, threads))))
-        rows.append(row)
-    return table(head, rows)
+    parts = dict.fromkeys(part for part, *_ in verdicts)
+    rows = [[part, _stands(verdicts[part, 512, 1])] for part in parts]
+    return table(["512², 1 thread", ""], rows)
 
 
-def _stands(verdict: Results | None) -> str:
-    if verdict is None:
-        return "–"
+def _stands(verdict: Results) -> str:
     psnr = f"{verdict['psnr_db']:.0f} dB"
     if verdict["on_front"]:
         return psnr
@@ -213,96 +173,49 @@ def _stands(verdict: Results | None) -> str:
 
 def speed() -> str:
     """Milliseconds, and pictures per second."""
-    model = load("model")
-    scale = model["scaling"]
-    both = scale["forward + backward / forward"]
+    throughput = load("throughput")
+    calls, first = throughput["calls"], throughput["first_picture_s"]
+    lit = throughput["lamps"]["512"]
     paragraphs = [
-        "Milliseconds for the whole model (`python -m benchmarks.speed.model`), field given, "
-        "widths .9–4.5 px, one thread. Each row is a race in one process, medians on a shared "
-        "machine, so read the ratios. The factors are for a blur that keeps 60 dB by itself; by "
-        "default uwaug blurs forward-scattered light, which is faint, less carefully:",
-        _speed_table(model),
-        f"A blur of up to 60 px takes {scale['60 px / 4 px']:.2f} times as long as one of up to "
-        f"4 px. 1024² takes {scale['1024² / 256²']:.1f} times as long as 256². Forward and "
-        f"backward together take {both:.1f} times forward alone; to fit, `torch.compile(degrade)` "
-        f"is faster still. At 1024² the peak of memory is {model['memory_times_input']:.1f} times "
-        f"the input. `import uwaug` adds {model['import_s']:.2f} s to torch and kornia.",
-        "One picture with a field (`python -m benchmarks.speed.throughput`), one thread, by the "
-        "loops: milliseconds, and how many times as fast as the recipe:",
-        _transform_table(load("throughput")),
-        _loaders(load("throughput")),
-        _lamps(load("throughput")),
-        _batches(load("throughput")),
+        "`throughput`: one picture with measured distances and a field, one thread, by the loops: "
+        "milliseconds, and how many times as fast as the recipe. Guessed distances (`MadeUp`) add "
+        "14 ms at 512²:",
+        _single(throughput["single"]),
+        "A DataLoader with two workers, pictures/s:",
+        _loaders(throughput["loader"]),
+        f"A draw takes {calls['loops']} Python calls by the loops and {calls['eager']} by PyTorch. "
+        f"The first of a process takes {first:.1f} s. Lamps take "
+        f"{lit['loops, lit by lamps']:.1f} times as long as daylight by the loops and "
+        f"{lit['PyTorch, lit by lamps']:.1f} times by PyTorch.",
+        _device(throughput["device"]),
     ]
     return "\n\n".join(paragraphs)
 
 
-def _speed_table(model: Results) -> str:
-    ours = ("uwaug", "uwaug, default", "uwaug, loops")
-    others = ("published, OpenCV", "naive kornia")
-    rows = []
-    for found in model["speed"]:
-        ms, times = found["ms"], found["times_faster"]
-        row = [f"{found['water']}, {found['size']}² × {found['batch']}"]
-        row += [f"{ms[name]['median_ms']:.1f}" for name in ours]
-        row += [f"{ms[name]['median_ms']:.0f} ({times[name]:.1f}×)" for name in others]
-        rows.append(row)
-    head = ["water, size × batch", "uwaug, blur ≥ 60 dB", "default", "loops", *others]
-    return table(head, rows)
-
-
-def _transform_table(throughput: Results) -> str:
-    sizes = throughput["single"]
-    recipe = [one["ms"]["recipe, as published (OpenCV), float32"]["median_ms"] for one in sizes]
+def _single(sizes: list[Results]) -> str:
     rows = []
     for name in sizes[0]["ms"]:
-        row = [name]
-        for one, other in zip(sizes, recipe, strict=True):
-            ms = one["ms"][name]["median_ms"]
-            row.append(f"{ms:.1f} ({other / ms:.1f}×)")
-        rows.append(row)
-    return table(["", *(f"{one['size']}²" for one in sizes)], rows)
+        cells = []
+        for size in sizes:
+            ms, recipe = (size["ms"][key]["median_ms"] for key in (name, RECIPE))
+            cells.append(f"{ms:.1f} ({recipe / ms:.1f}×)")
+        rows.append([name, *cells])
+    return table(["", *(f"{size['size']}²" for size in sizes)], rows)
 
 
-def _loaders(throughput: Results) -> str:
-    rows = [
-        [name, *(f"{rates[name]:.0f}" for rates in throughput["loader"].values())]
-        for name in next(iter(throughput["loader"].values()))
-    ]
-    calls, first = throughput["calls"], throughput["first_picture_s"]
-    sizes = (f"{size}², pictures/s" for size in throughput["loader"])
-    return (
-        f"A draw takes {calls['eager']} Python calls by PyTorch and {calls['loops']} by the loops "
-        f"once plans are there. The first of a process takes {first:.1f} s after torch. A "
-        "DataLoader with two workers:\n\n" + table(["", *sizes], rows)
-    )
+def _loaders(sizes: Results) -> str:
+    names = next(iter(sizes.values()))
+    rows = [[name, *(f"{rates[name]:.0f}" for rates in sizes.values())] for name in names]
+    return table(["", *(f"{size}²" for size in sizes)], rows)
 
 
-def _lamps(throughput: Results) -> str:
-    """What lamps cost."""
-    sizes = throughput["lamps"]
-    rows = [
-        [name, *(f"{ratios[name]:.2f}" for ratios in sizes.values())]
-        for name in next(iter(sizes.values()))
-    ]
-    text = "Pictures that lamps light and default draws, times as long as by daylight (means of "
-    return f"{text}the same draws, one thread):\n\n" + table(["", *(f"{s}²" for s in sizes)], rows)
-
-
-def _batches(throughput: Results) -> str:
-    """Batches on the CPU, and on a GPU if there was one."""
-    ((size, rates),) = throughput["batches"].items()
-    rows: dict[str, list[str]] = {}
-    for name, ms in rates.items():
-        rows.setdefault(name.rpartition(",")[0], []).append(f"{ms:.2f}")
-    head = list(dict.fromkeys(name.rpartition(", ")[2] for name in rates))
-    text = f"`RandomUnderwater()` on batches of {size}² on the CPU, ms a picture:\n\n"
-    text += table(["", *head], [[name, *cells] for name, cells in rows.items()])
-    if not throughput["device"]:
-        return text + "\n\nNo GPU was there to measure batches on a device."
-    names = next(iter(throughput["device"].values()))
-    shown = [[case, *(f"{r[n]:.0f}" for n in names)] for case, r in throughput["device"].items()]
-    return text + "\n\nOn a GPU, bytes in and out, pictures/s:\n\n" + table(["", *names], shown)
+def _device(rates: Results) -> str:
+    """Batches on a GPU if there was one."""
+    if not rates:
+        return "No GPU was there to measure batches."
+    names = next(iter(rates.values()))
+    shown = [[case, *(f"{of[name]:.0f}" for name in names)] for case, of in rates.items()]
+    return "On a GPU, bytes in and out, pictures/s:\n\n" + table(["", *names], shown)
 
 
 def fits() -> str:
@@ -322,40 +235,37 @@ def fits() -> str:
 def training() -> str:
     """What training gains."""
     evidence = load("evidence")
-    sets = {"buoys": "colour", "deepfish": "DeepFish", "fjord": "fjord"}
-    titles = [title for name in sets for title in (name, f"{name}, grey-world")]
-    head = [cell for name in sets.values() for cell in (name, "by grey-world")]
-    tables = [evidence["tables"][title] for title in titles]
-    rows = [[arm, *(_gain(rows[arm]) for rows in tables)] for arm in tables[0]]
     crops, nets = evidence["crops"], evidence["nets"]
+    columns = {
+        f"colour ({crops['buoys']} buoys)": "buoys",
+        "by grey-world": "buoys, grey-world",
+        f"fish, DeepFish ({crops['deepfish']} crops)": "deepfish",
+        f"fish, fjord ({crops['fjord']} crops)": "fjord",
+    }
     return (
-        f"{nets} net{'s' * (nets > 1)} an arm; {crops['buoys']} buoys, {crops['deepfish']} crops "
-        f"of DeepFish, {crops['fjord']} of the fjord. In brackets what it has more than the "
-        "defaults, bold where both intervals of 95 %, over blocks and over films, leave out 0:\n\n"
-        + table(["trained with", *head], rows)
+        f"{nets} nets an arm. In brackets what it has more than the defaults, bold where both "
+        "intervals of 95 %, over blocks and over films, leave out 0:\n\n"
+        + _gains("trained with", {head: evidence["tables"][key] for head, key in columns.items()})
     )
 
 
 def detector() -> str:
     """What training gains for a detector, and where markers are read."""
     found, markers = load("detector"), load("markers")
-    titles = ["divers", "swimmers", "pools", "air"]
-    head = [
-        f"{title} ({of['pictures']} pictures, {of['boxes']} persons)"
-        for title, of in zip(titles, found["sets"].values(), strict=True)
-    ]
-    tables = list(found["tables"].values())
-    rows = [[arm, *(_spread(of[arm]) for of in tables)] for arm in tables[0]]
-    nets = max(len(row["nets"]) for row in tables[0].values())
+    columns = {}
+    for key, rows in found["tables"].items():
+        title = key.split("/")[1].replace("val", "air")
+        columns[f"{title} ({found['sets'][key]['pictures']} pictures)"] = rows
+    nets = max(len(row["nets"]) for row in next(iter(columns.values())).values())
     halves = ", ".join(
         f"{name} at {of['half']:.0f} ({of['interval'][0]:.0f}–{of['interval'][1]:.0f})"
         for name, of in markers["curves"].items()
     )
     return (
-        f"{nets} net{'s' * (nets > 1)} an arm, {found['steps']} steps of {found['batch']} pictures "
-        f"at {found['side']} px. AP50 of persons, in brackets what it has more than the defaults, "
-        "and its interval of 95 % over blocks, bold where that leaves out 0:\n\n"
-        + table(["tuned on", *head], rows)
+        f"{nets} nets an arm, {found['steps']} steps of {found['batch']} pictures at "
+        f"{found['side']} px. AP50 of persons, in brackets what it has more than the defaults, "
+        "bold where its interval of 95 % over blocks leaves out 0:\n\n"
+        + _gains("tuned on", columns, ("blocks",))
         + f"\n\n**Markers**, half as many read as at high contrast: {halves} of 255 levels.\n\n"
         "![Share of tags that are read against contrast: film and uwaug](figures/markers.png)\n\n"
         + _readers(markers["readers"])
@@ -364,37 +274,40 @@ def detector() -> str:
 
 def _readers(found: Results) -> str:
     """What small nets read of a film."""
-    counts, tables = found["tags"], found["tables"]
-    below, above = f"below {found['faint']} levels", f"{found['faint']} and more"
-    titles = {"all": "film", "faint": below, "clear": above, "green": "by stretched green"}
-    rows = []
-    for arm in tables["all"]:
-        nets = found["air"].get(arm)  # OpenCV's was not asked
-        air = f"{sum(nets) / len(nets):.3f}" if nets else "–"
-        rows.append([arm, *(_spread(tables[part][arm]) for part in titles), air])
-    head = [f"{title} ({counts[part]} tags)" for part, title in titles.items()]
+    tables = found["tables"]
+    columns = {f"film ({found['tags']['all']} tags)": tables["all"]}
+    columns["by stretched green"] = tables["green"]
     nets = max(len(row["nets"]) for row in tables["all"].values())
+    air = {arm: f"{sum(of) / len(of):.2f}" for arm, of in found["air"].items()}
     return (
-        f"**Nets that read markers**: {nets} net{'s' * (nets > 1)} an arm, {found['steps']} steps "
-        f"of 64 crops of boards in {found['scenes']} pictures. Shares of the film's tags that are "
-        "read, of 30 that each might be, and differences as above. Nets are told where a tag is, "
-        "OpenCV finds it:\n\n" + table(["trained on", *head, "boards in air"], rows)
+        f"**Nets that read markers**: {nets} an arm, {found['steps']} steps of 64 crops of boards "
+        f"in {found['scenes']} pictures. Shares of the film's tags that are read, one of 30 "
+        "each; nets are told where a tag is, OpenCV finds it:\n\n"
+        + _gains("trained on", columns, ("blocks",), {"boards in air": air})
     )
 
 
-def _spread(row: Results) -> str:
-    if not any(row["blocks"]):  # the defaults themselves
-        return f"{row['score']:.3f}"
-    low, high = row["blocks"]
-    difference = f"{row['difference']:+.3f}"
-    difference = f"**{difference}**" if low > 0 or high < 0 else difference
-    return f"{row['score']:.3f} ({difference}; {low:+.2f}…{high:+.2f})".replace("-", "−")
+def _gains(
+    title: str,
+    columns: Results,
+    intervals: Sequence[str] = ("blocks", "films"),
+    others: dict[str, dict[str, str]] | None = None,
+) -> str:
+    """Arms by columns, and further columns of text."""
+    others = others or {}
+    rows = []
+    for arm in next(iter(columns.values())):
+        if arm.endswith("=None"):  # single changes, all of them level
+            continue
+        cells = [_gain(scores[arm], intervals) for scores in columns.values()]
+        rows.append([arm, *cells, *(texts.get(arm, "–") for texts in others.values())])
+    return table([title, *columns, *others], rows)
 
 
-def _gain(row: Results) -> str:
+def _gain(row: Results, intervals: Sequence[str]) -> str:
     if not any(row["blocks"]):  # the defaults themselves
         return f"{row['score']:.2f}"
-    certain = all(row[kind][0] > 0 or row[kind][1] < 0 for kind in ("blocks", "films"))
+    certain = all(row[kind][0] > 0 or row[kind][1] < 0 for kind in intervals)
     difference = f"{row['difference']:+.2f}".replace("-", "−")
     return f"{row['score']:.2f} ({f'**{difference}**' if certain else difference})"
 

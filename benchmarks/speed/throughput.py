@@ -1,13 +1,13 @@
 """What `RandomUnderwater` costs: milliseconds of a picture beside the published recipe, pictures
-per second of batches, of a GPU where there is one, and of a DataLoader.
+per second of a GPU where there is one, and of a DataLoader; an ONNX file beside its module.
 
 `python -m benchmarks.speed.throughput` writes results/throughput.json and prints the tables.
 """
 
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import albumentations
@@ -19,8 +19,17 @@ from torch.utils.data import DataLoader, Dataset
 
 import uwaug
 from benchmarks import recipe
-from benchmarks.harness import command, loops, printed, race, save, scene, use_threads
-from uwaug.distance import Metres
+from benchmarks.harness import (
+    by_loops,
+    command,
+    loops,
+    printed,
+    race,
+    save,
+    scene,
+    use_threads,
+)
+from benchmarks.speed.panels import exported
 
 BATCH = 4
 WARM = 200
@@ -51,10 +60,6 @@ def augments() -> dict[str, Augment]:
         RECIPE: Recipe(),
         "preset survey, a module": uwaug.load_preset("survey").module(),
         "RandomUnderwater()": uwaug.RandomUnderwater(),
-        "RandomUnderwater(), grey surfaces": uwaug.RandomUnderwater(
-            uwaug.RandomWater(color_matrix=None)
-        ),
-        "preset survey, a transform": replace(uwaug.load_preset("survey"), distance=Metres()),
     }
 
 
@@ -100,6 +105,24 @@ def single(size: int, rounds: int) -> dict[str, Any]:
         faster = recipe / taken["median_ms"]
         print(f"{size}²: {name}: {taken['median_ms']:.1f} ms, {faster:.1f} × recipe", flush=True)
     return {"size": size, "ms": times}
+
+
+def file_against_loops(rounds: int = 15) -> dict[str, Any]:
+    """An ONNX file of one water and size beside the module by the compiled loops: sRGB, metered,
+    512², one thread.
+    """
+    use_threads(1)
+    metered = uwaug.Development(metered=True)
+    medium = uwaug.Medium.from_water("7C")
+    module = uwaug.Underwater(medium, (0.5, 10.0), sides=(512, 512), development=metered)
+    image, distance = scene(512)
+    run = exported(module, 1)
+    with torch.no_grad():
+        runners = {"loops": partial(by_loops(module), image, distance)}
+        times = race({**runners, "file": partial(run, image, distance)}, rounds)
+    ratio = times["file"]["median_ms"] / times["loops"]["median_ms"]
+    print(f"ONNX file / loops: {ratio:.2f}", flush=True)
+    return {"ms": times, "file / loops": ratio}
 
 
 def lamps(size: int, count: int) -> dict[str, float]:
@@ -149,28 +172,6 @@ def calls(fast: bool) -> int:
             finally:
                 sys.setprofile(None)
     return int(np.median(counts))
-
-
-def batches(size: int, sizes: Sequence[int], rounds: int) -> dict[str, float]:
-    """Milliseconds of a picture in batches on the CPU, by loops and PyTorch, one thread and two."""
-    image, distance = scene(size)
-    results = {}
-    for threads in (1, 2):
-        use_threads(threads)
-        for fast in (True, False):
-            augment = uwaug.RandomUnderwater()
-            with torch.no_grad(), loops(fast):
-                warm(augment, image[0], distance[0])
-                for count in (1, *sizes):
-                    pictures = image[:1].expand(count, -1, -1, -1).contiguous()
-                    maps = distance[:1].expand(count, -1, -1, -1).contiguous()
-                    run = {"": lambda p=pictures, z=maps, a=augment: a(p, z)}
-                    ms = race(run, rounds)[""]["median_ms"] / count
-                    engine = "loops" if fast else "PyTorch"
-                    name = f"{engine}, {threads} thread{'s' * (threads > 1)}, batch of {count}"
-                    results[name] = ms
-                    print(f"{size}²: {name}: {ms:.2f} ms a picture", flush=True)
-    return results
 
 
 def device(size: int, count: int, rounds: int) -> dict[str, float]:
@@ -253,10 +254,6 @@ def main(quick: bool = False) -> None:
     sizes = (64,) if quick else (256, 512, 1024)
     results = {
         "single": [single(size, 2 if quick else 40) for size in sizes],
-        "batches": {
-            str(size): batches(size, (2,) if quick else (16, 64), 2 if quick else 7)
-            for size in sizes[:1]
-        },
         "device": {
             f"{size}², batch of {count}": device(size, count, 2 if quick else 20)
             for size in sizes[:2]
@@ -272,6 +269,7 @@ def main(quick: bool = False) -> None:
     }
     print(f"calls {results['calls']}, first picture {results['first_picture_s']:.1f} s")
     if not quick:
+        results["file"] = file_against_loops()  # to export takes a minute
         print(save("throughput", results))
 
 

@@ -142,7 +142,13 @@ def test_a_plan_for_all_sizes_serves_pictures_four_times_as_long() -> None:
     assert paper.plan_all((32, 144)) == expected
     # a picture is at least as wide as its short side, and 4 times as wide as the largest at most
     focal = BlurDemand(0.02, 0.03, 0.01, Law("exponential", "focal"), View(90.0))
-    expected = plan_blur(0.02 * 32 / 2, 0.03 * 4 * 144 / 2, 0.01, "exponential", 4 * 144)
+    expected = plan_blur(
+        0.02 * focal.law.pixels((32, 32), View(90.0)),
+        0.03 * 4 * 144 / 2,
+        0.01,
+        "exponential",
+        4 * 144,
+    )
     assert focal.plan_all((32, 144)) == expected
 
 

@@ -105,7 +105,7 @@ def test_a_rig_is_metered_on_one_camera(tmp_path: Path, monkeypatch: pytest.Monk
     assert degrade(recipe, items, "wet").failures == []
     degrade(recipe, items[::-1], "again", workers=2)
     samples, noises = {}, set()
-    for path in sorted(Path("wet").rglob("*.json")):
+    for path in sorted(Path("wet").rglob("*.png.json")):
         assert path.read_bytes() == Path("again", path.relative_to("wet")).read_bytes()
         (samples[path.parent.name, path.name[0]],) = read_record(path)["params"]["samples"]
     for sample in samples.values():

@@ -1,8 +1,11 @@
 """Which files of a folder are pictures, and where their maps are."""
 
+import os
 import re
+import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -27,6 +30,7 @@ def names(pictures: str, maps: str | None = None, exclude: Sequence[str] = ()) -
     return {item.name: item.distance.as_posix() if item.distance else "" for item in items}
 
 
+NFC, NFD = (unicodedata.normalize(form, "épave") for form in ("NFC", "NFD"))
 OWN = {"b_RGB.png": "d/b_RGB", "rgb.png": "d/depth.png"}
 INDEPTH = {"indepth/1.png": "d/indepth/1", "indepth/rgb.png": "d/indepth/depth.png"}
 Z, SWAP = "{stem}_z.png", "{stem:rgb=depth}.png"
@@ -54,6 +58,15 @@ FOUND: list[tuple[str, str, str | None, dict[str, str]]] = [
     ("voc/SegmentationClass/1.png", "voc/SegmentationClass", None, {"1.png": ""}),
     ("d/@home.png d/@eaDir/1.png d/.hidden.png d/.trash/b.png", "d", None, {"@home.png": ""}),
     ("d/._a.png", "d/._a.png", None, {"._a.png": ""}),
+    # names in their normal form
+    ("d/0.JPG m/0.NPY", "d", "m", {"0.JPG": "m/0.NPY"}),
+    ("d/0.JPG m/0_z.PNG", "d", f"m/{Z}", {"0.JPG": "m/0_z.PNG"}),
+    (f"d/{NFD}.png m/{NFC}.npy", "d", "m", {f"{NFD}.png": f"m/{NFC}.npy"}),
+    (f"d/{NFC}/1.png m/{NFD}/1.npy", "d", "m", {f"{NFC}/1.png": f"m/{NFD}/1.npy"}),
+    ("d/a+b.png m/a%2Bb.npy", "d", "m", {"a+b.png": "m/a%2Bb.npy"}),
+    # then names with a mark
+    ("d/1.png m/1_depth.npy", "d", "m", {"1.png": "m/1_depth.npy"}),
+    ("d/1.png m/1_depth.npy m/1.png", "d", "m", {"1.png": "m/1.png"}),
 ]
 
 
@@ -98,12 +111,20 @@ def test_lists_of_other_scenes_with_the_same_names() -> None:
     ],
 )
 def test_maps_of_the_nearest_time(picture: str, found: str) -> None:
-    touch(f"d/1305031102.160104.png d/{picture} {TIMES}")
+    touch(f"d/1305031102.195437.png d/{picture} {TIMES}")
     assert names("d", "m")[picture] == found
+    count = 1 + Path(found).is_file()
     said = delay_of(find_items("d", "m"))
-    assert bool(re.fullmatch(r"1 pictures have .* times, 1?\d ms away at most", said)) == (
-        Path(found).is_file()
-    )
+    assert re.fullmatch(rf"{count} pictures have .* times, 1?\d ms away at most", said)
+
+
+@pytest.mark.parametrize("of", ["1.000{}", "400638133393{}"])
+def test_where_maps_have_the_names_of_pictures_a_missing_one_is_missing(of: str) -> None:
+    touch(" ".join(f"d/{of.format(n)}.png m/{of.format(n)}.npy" for n in range(4)))
+    Path(f"m/{of.format(2)}.npy").unlink()
+    assert names("d", "m") == {
+        f"{of.format(n)}.png": f"m/{of.format(n)}" + ".npy" * (n != 2) for n in range(4)
+    }
 
 
 def test_lists_with_a_picture_twice_and_with_names_alone() -> None:
@@ -163,3 +184,18 @@ def test_nothing_is_found() -> None:
         find_items("ds/maps")
     with pytest.raises(FileNotFoundError):
         find_items("nowhere")
+
+
+def test_what_cannot_be_read_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    touch("ds/0.png ds/lost+found/1.png")
+    for pipe in ("ds/0.png.json", "ds/uwaug-run.json"):
+        os.mkfifo(pipe)
+    listed = Path.iterdir
+
+    def iterdir(path: Path) -> Any:
+        if path.name == "lost+found":
+            raise PermissionError(path)
+        return listed(path)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    assert names("ds") == {"0.png": ""}

@@ -58,12 +58,10 @@ def test_what_a_run_has_written_is_no_picture_of_the_next() -> None:
 
     degrade(RECIPE, items(), "all/under", sheet=True)
     assert names() == [f"{number}.png" for number in range(4)]
-    save("all/under/labels/0.png", pixels())  # masks have no record
-    assert names() == [f"{number}.png" for number in range(4)]
-    # beside another index a sheet is a picture
-    save("all/sheet.jpg", pixels())
-    Path("all/index.csv").write_text("name,species\n")
+    save("all/sheet.jpg", pixels())  # is no run's
     assert "sheet.jpg" in names()
+    with pytest.raises(ValueError, match="no pictures in all/under:"):
+        find_items("all/under")
 
 
 # What is written
@@ -121,7 +119,7 @@ def test_frames_of_a_folder_share_a_draw(motion, step) -> None:
     assert degrade(recipe, items[::-1], "again", workers=2).failures == []
     pictures = [path for path in content("wet") if path.endswith(".png")]
     assert all(content("wet")[path] == content("again")[path] for path in pictures)
-    records = {path: json.loads(path.read_text()) for path in Path("wet").rglob("*.json")}
+    records = {path: json.loads(path.read_text()) for path in Path("wet").rglob("*.png.json")}
     clips = {}
     for path, record in records.items():
         (sample,) = record["params"]["samples"]
@@ -154,7 +152,7 @@ def test_a_film_is_settled_on_a_frame_that_serves() -> None:
     assert statuses(degrade(recipe, found, "wet")).count("written") == 6
     degrade(recipe, found[::-1], "again", workers=2)
     clips = []
-    for path in sorted(Path("wet").rglob("*.json")):
+    for path in sorted(Path("wet").rglob("*.png.json")):
         assert path.read_bytes() == Path("again", path.relative_to("wet")).read_bytes()
         record = read_record(path)
         (sample,) = record["params"]["samples"]
@@ -170,44 +168,16 @@ def test_a_film_is_settled_on_a_frame_that_serves() -> None:
     assert "no frame serves to settle the film's draw: film/4.png: distance must be" in first
 
 
-def test_a_film_is_not_settled_anew_when_it_is_resumed() -> None:
-    for number in range(6):
-        light = (number + 1) / 6
-        save(f"films/{number}.png", (light * pixels(H, W, seed=number)).astype(np.uint8))
-    whole = Path("films/3.png").read_bytes()  # the middle one
-    Path("films/3.png").write_bytes(whole[:60])
-    recipe, found = Recipe(RandomUnderwater(distance=3.0), sequence=True), find_items("films")
-    assert degrade(recipe, found, "wet").count("written") == 5
-    before = content("wet")
-    assert degrade(recipe, found, "wet", resume=True).count("skipped") == 5
-    # it would now be settled on the middle frame, with another exposure
-    Path("films/3.png").write_bytes(whole)
-    resumed = degrade(recipe, found, "wet", resume=True)
-    assert statuses(resumed).count("failed") == 5
-    assert "0.png was made with another frame: choose another folder" in resumed.failures[0]
-    after = content("wet")
-    assert {name: after[name] for name in before if name != "index.csv"} == {
-        name: data for name, data in before.items() if name != "index.csv"
-    }
-    assert degrade(recipe, found, "wet", resume=True, force=True).failures == []
-    exposures = {
-        read_record(path)["params"]["samples"][0]["measured"]["exposure"]
-        for path in Path("wet").glob("*.json")
-    }
-    assert len(exposures) == 1
-
-
-def test_a_film_is_not_settled_on_a_frame_that_has_changed() -> None:
+def test_a_film_is_made_anew_where_the_frame_that_it_is_settled_on_has_changed() -> None:
     for number in range(3):
         save(f"films/{number}.png", pixels(H, W, seed=number))
     recipe, found = Recipe(RandomUnderwater(distance=3.0), sequence=True), find_items("films")
     degrade(recipe, found, "wet")
     save("films/1.png", pixels(H, W) // 2)  # the middle one
     Path("wet/2.png").unlink()
-    kept = degrade(recipe, found, "wet", resume=True)
-    assert statuses(kept) == ["failed", "failed", "written"]
-    assert "0.png was made with another frame" in kept.failures[0]
-    assert "1.png was made with another picture and frame" in kept.failures[1]
+    assert statuses(degrade(recipe, found, "wet", resume=True)) == ["written"] * 3
+    degrade(recipe, found, "new")
+    assert {**content("wet"), "index.csv": b""} == {**content("new"), "index.csv": b""}
 
 
 def test_odd_scenes_are_told_of() -> None:
@@ -288,31 +258,13 @@ def test_a_water_file_that_has_changed() -> None:
     recipe = Recipe(RandomUnderwater(RandomWater("water.csv", contrast=None)))
     degrade(recipe, items()[:1], "out")
     Path("water.csv").write_text(rows.replace(".6", ".9"))
-    again = degrade(recipe, items()[:2], "out", resume=True)
-    assert statuses(again) == ["failed", "written"]
-    assert "was made with another options_file" in again.failures[0]
+    with pytest.raises(FileExistsError, match="out was made with another options_file"):
+        degrade(recipe, items()[:2], "out", resume=True)
     with pytest.raises(ValueError, match=r"water\.csv is gone, or has changed since out"):
         replay("out/0.png.json", "again.png")
     Path("water.csv").write_text(rows)
     replay("out/0.png.json", "again.png")
     assert content(".")["again.png"] == content(".")["out/0.png"]
-
-
-def test_labels_that_have_gone_go() -> None:
-    Path("labels").mkdir()
-    for number in range(2):
-        Path(f"labels/{number}.txt").write_text("0 .5 .5 1 1\n")
-    recipe = Recipe(WATER, labels="labels")
-    degrade(recipe, items(), "out")
-    with pytest.raises(FileExistsError, match="out holds labels of an earlier run"):
-        degrade(replace(recipe, labels=None), items(), "out", force=True)
-    fewer = degrade(RECIPE, items()[:2], "plain")
-    assert fewer.notes == []
-    (note,) = degrade(RECIPE, items()[1:2], "plain", force=True).notes
-    assert note.startswith("1 pictures of an earlier run, such as 0.png, stay in plain")
-    Path("labels/1.txt").unlink()
-    degrade(recipe, items(), "out", force=True)
-    assert {name for name in content("out") if "labels" in name} == {"labels/0.txt"}
 
 
 def test_a_sheet() -> None:
@@ -335,7 +287,7 @@ def test_a_sheet() -> None:
         "contrast": 0.4,
     }
     write_record(Path("other.png.json"), record)
-    work = _Underwater(RECIPE, Path("out"), resume=False, force=False)
+    work = _Underwater(RECIPE, Path("out"))
     assert work.caption(Path("other.png")) == "2.3 m, contrast 0.40\n7C + chlorophyll=18,cdom=1.5"
 
 
@@ -397,150 +349,6 @@ def test_what_is_no_record(text: str) -> None:
         replay("a.json", "again.png")
 
 
-def test_resume_and_force() -> None:
-    first = degrade(RECIPE, items()[:3], "out")
-    assert statuses(first) == ["written"] * 3
-    before = content("out")
-    Path("out/1.png").unlink()
-    with pytest.raises(FileExistsError, match=r"out is not empty: .*--resume.*--force"):
-        degrade(RECIPE, items(), "out")
-    summary = degrade(RECIPE, items(), "out", resume=True)
-    assert statuses(summary) == ["skipped", "written", "skipped", "written"]
-    assert summary.results[0].contrast == first.results[0].contrast
-    after = content("out")
-    assert {name: after[name] for name in before} == {**before, "index.csv": after["index.csv"]}
-    other = Recipe(RECIPE.transform, seed=5)
-    kept = degrade(other, items(), "out", resume=True)
-    assert statuses(kept) == ["failed"] * 4
-    assert "out/0.png was made with another recipe: choose another folder" in kept.failures[0]
-    assert {**content("out"), "index.csv": b""} == {**after, "index.csv": b""}
-    assert statuses(degrade(other, items(), "out", force=True)) == ["written"] * 4
-    assert content("out")["0.png"] != after["0.png"]
-
-
-@pytest.mark.parametrize("options", [{"resume": True}, {"force": True}])
-def test_a_folder_of_other_pictures_is_refused(options: dict[str, bool]) -> None:
-    Path("labels").mkdir()
-    for number in range(3):
-        Path(f"labels/{number}.txt").write_text("0 .5 .5 1 1\n")
-    recipe = Recipe(WATER, labels="labels")
-    degrade(recipe, items()[:2], "out")
-    before = content("out")
-    with pytest.raises(FileExistsError, match=r"out holds 1 pictures .* images/0\.png: remove"):
-        degrade(recipe, items()[1:3], "out", **options)
-    assert content("out") == before
-    Path("out/images/0.png").unlink()
-    assert degrade(recipe, items()[1:3], "out", **options).count("failed") == 0
-
-
-@pytest.mark.parametrize(
-    "file, other",
-    [("all/1.png", "picture"), ("depth/1.npy", "distance"), ("labels/1.txt", "labels")],
-)
-def test_what_has_changed_is_not_taken_for_what_it_was(file: str, other: str) -> None:
-    for number in range(4):
-        Path("labels").mkdir(exist_ok=True)
-        Path(f"labels/{number}.txt").write_text("0 .5 .5 1 1\n")
-    recipe = Recipe(WATER, labels="labels")
-    degrade(recipe, items(), "out")
-    before = content("out")
-    if other == "labels":
-        Path(file).write_text("0 .5 .1 1 .2\n")
-    else:
-        save(file, pixels(H, W, seed=9) if other == "picture" else 2 * metres(H, W))
-    resumed = degrade(recipe, items(), "out", resume=True)
-    assert statuses(resumed) == ["skipped", "failed", "skipped", "skipped"]
-    assert f"images/1.png was made with another {other}: choose" in resumed.failures[0]
-    assert content("out")["images/1.png"] == before["images/1.png"]
-    again = degrade(recipe, items(), "out", resume=True, force=True)
-    assert statuses(again) == ["skipped", "written", "skipped", "skipped"]
-    record, label = "images/1.png.json", "labels/1.txt"
-    assert content("out")[record] != before[record]
-    assert (content("out")[label] != before[label]) == (other == "labels")
-
-
-@pytest.mark.parametrize("options", [{"resume": True}, {"force": True}])
-@pytest.mark.parametrize(
-    "own, failures",
-    [
-        ("index.csv", None),
-        ("sheet.jpg", None),
-        ("data.yaml", None),
-        ("train.txt", None),
-        ("images/1.png", 1),
-        ("images/1.png.json", 1),
-        ("labels/1.txt", 1),
-    ],
-)
-def test_only_what_a_run_has_written_is_replaced(
-    own: str, failures: int | None, options: dict[str, bool]
-) -> None:
-    Path("labels").mkdir()
-    for number in range(4):
-        Path(f"labels/{number}.txt").write_text("0 .5 .5 1 1\n")
-    recipe, path = Recipe(WATER, labels="labels"), Path("out", own)
-    path.parent.mkdir(parents=True)
-    path.write_text("mine")
-    if failures is None:
-        with pytest.raises(FileExistsError, match=f"out/{own} was not written by a run: move it"):
-            degrade(recipe, items(), "out", sheet=True, **options)
-        assert content("out") == {own: b"mine"}
-        path.unlink()
-        degrade(recipe, items(), "out")
-        if own == "sheet.jpg":
-            path.write_text("mine")
-            with pytest.raises(FileExistsError, match=r"out/sheet\.jpg was not written by a run"):
-                degrade(recipe, items(), "out", sheet=True, **options)
-            path.unlink()
-        degrade(recipe, items(), "out", sheet=True, **options)
-        degrade(recipe, items(), "out", sheet=True, **options)
-    else:
-        (failure,) = degrade(recipe, items(), "out", **options).failures
-        assert f"out/{own} was not written by a run: move it" in failure
-        assert path.read_text() == "mine"
-        path.unlink()
-        assert degrade(recipe, items(), "out", **options).failures == []
-
-
-@pytest.mark.parametrize("options", [{"resume": True}, {"force": True}])
-def test_own_files_stay_where_their_picture_fails(options: dict[str, bool]) -> None:
-    save("own/1.png", pixels(seed=9))
-    before = Path("own/1.png").read_bytes()
-    Path("all/1.png").write_bytes(b"")
-    assert statuses(degrade(RECIPE, items(), "own", **options)).count("written") == 3
-    assert Path("own/1.png").read_bytes() == before
-    assert degrade(RECIPE, items()[1:2], "own/1.png", force=True).count("failed") == 1
-    assert Path("own/1.png").read_bytes() == before
-
-
-def test_an_index_of_ones_own_makes_a_folder_full() -> None:
-    Path("out").mkdir()
-    Path("out/index.csv").write_text("name,species\n")
-    with pytest.raises(FileExistsError, match="out is not empty"):
-        degrade(RECIPE, items(), "out")
-    assert Path("out/index.csv").read_text() == "name,species\n"
-
-
-def test_a_description_that_was_edited_stays() -> None:
-    Path("labels").mkdir()
-    Path("labels/0.txt").write_text("2 .5 .5 1 1\n")
-    recipe, file = Recipe(WATER, labels="labels"), Path("out/data.yaml")
-    degrade(recipe, items()[:1], "out")
-    text = file.read_text()
-    assert "nc: 3" in text
-    file.write_text(text.replace("nc: 3", "names: [crab, eel, ray]"))
-    resumed = degrade(recipe, items(), "out", resume=True)
-    assert "out/data.yaml stays, with other content" in resumed.notes[-1]
-    assert "eel" in file.read_text()
-    assert "3.png" in Path("out/train.txt").read_text()
-    # nothing made, nothing listed anew
-    before = content("out")
-    degrade(replace(recipe, seed=1), items(), "out", resume=True)
-    assert {**content("out"), "index.csv": b""} == {**before, "index.csv": b""}
-    degrade(recipe, items(), "out", force=True)
-    assert file.read_text() == text
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="names are bytes on Linux alone")
 def test_a_name_that_is_not_utf_8_fails_alone(run: Callable[..., tuple[int, str, str]]) -> None:
     name = os.fsdecode(b"all/caf\xe9.png")
@@ -553,37 +361,6 @@ def test_a_name_that_is_not_utf_8_fails_alone(run: Callable[..., tuple[int, str,
     assert rows["caf\\xe9.png"] == "failed"
     assert [*rows.values()].count("written") == 3
     assert find_items("all", "depth")[-1].distance == Path(os.fsdecode(b"depth/caf\xe9"))
-
-
-def test_a_picture_that_fails_leaves_nothing_of_before() -> None:
-    degrade(RECIPE, items(), "out")
-    Path("all/1.png").write_bytes(b"")
-    failed = degrade(Recipe(RECIPE.transform, seed=5), items(), "out", force=True)
-    assert statuses(failed) == ["written", "failed", "written", "written"]
-    assert not {"1.png", "1.png.json"} & content("out").keys()
-    frames = items()
-    for frame in frames:
-        frame.picture.write_bytes(b"")  # none serves to settle the film's draw
-    film = degrade(Recipe(RECIPE.transform, sequence=True), frames, "out", force=True)
-    assert statuses(film) == ["failed"] * 4
-    assert content("out").keys() == {"index.csv"}
-
-
-def test_labels_that_are_gone_are_missed_and_those_of_a_failure_go() -> None:
-    for number in range(4):
-        Path(f"labels/{number}.txt").parent.mkdir(exist_ok=True)
-        Path(f"labels/{number}.txt").write_text("0 .5 .5 .4 .4\n")
-    recipe, label = Recipe(WATER, labels="labels"), Path("out/labels/1.txt")
-    degrade(recipe, items(), "out")
-    label.unlink()
-    again = degrade(recipe, items(), "out", resume=True)
-    assert statuses(again) == ["skipped", "written", "skipped", "skipped"]
-    save("depth/1.npy", metres(9, 9))
-    assert statuses(degrade(recipe, items(), "out", force=True)).count("failed") == 1
-    assert not label.exists()
-    save("depth/1.npy", metres(H, W))
-    assert degrade(recipe, items(), "out", force=True).failures == []
-    assert label.exists()
 
 
 def test_one_bad_picture_does_not_stop_the_rest() -> None:
@@ -630,7 +407,7 @@ def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: 
         save("labels/0.png", pixels()[..., 0])
     before = content(".")
     with pytest.raises((ValueError, TypeError), match=message):
-        degrade(Recipe(**{"transform": WATER, **options}), find_items("all", maps), out, force=True)
+        degrade(Recipe(**{"transform": WATER, **options}), find_items("all", maps), out)
     assert content(".") == before
 
 

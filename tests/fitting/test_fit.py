@@ -5,7 +5,7 @@ from fitted import COLOURS, HAZE, TRUTH, Known, as_bytes, errors, medium, scene,
 
 import uwaug
 from uwaug.fitting.api import checked_options
-from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
+from uwaug.formation.colour import srgb_to_linear
 
 NOISE = "What is left is not noise"
 COMPOSED = "composed in encoded values"
@@ -34,6 +34,10 @@ def test_a_water_comes_back(auto):
     assert all(number.state == "free" for number in auto.parameters.values())
     assert auto.parameters["exponent"].value == pytest.approx(0.9, abs=0.15)
     assert auto.rms == pytest.approx(0.01, rel=0.1)
+    assert values(auto, "beta") == pytest.approx(TRUTH["beta"], rel=0.05)
+    assert abs(errors(auto)).max() < 3.5
+    assert (abs(errors(auto)) < 2).mean() >= 0.75
+    np.testing.assert_allclose(np.sqrt(np.diag(auto.covariance)), [*auto.errors.values()])
     assert not remark(auto, NOISE) + remark(auto, COMPOSED)
     assert "* gaussian" in auto.summary()
 
@@ -45,7 +49,7 @@ def test_the_medium_makes_the_observed_picture(surfaces):
     law = uwaug.PointSpread.calibrated()
     options = {"vertical_depth": 4.0, "g": 0.05, "surfaces": surfaces, "point_spread": law}
     observed = uwaug.Underwater(uwaug.Medium.from_water("3C", **options))(clean, z)
-    fit = uwaug.fit(clean, observed, z, pixels=1500)
+    fit = uwaug.fit(clean, observed, z, model="gaussian", pixels=1500)
     again = uwaug.Underwater(fit.medium)(clean, z)
     assert (again.double() - observed.double()).abs().mean() < 1
     # daylight that is lost is the medium's, and V(0) is that of the picture
@@ -57,31 +61,25 @@ def test_the_medium_makes_the_observed_picture(surfaces):
     assert not remark(fit, NOISE)
 
 
-@pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.7, 0.7, 0.7), (0.4, 0.9, 1.1)])
+@pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.4, 0.9, 1.1)])
 def test_a_gain_is_fitted_where_there_is_one(gain):
     factor = torch.tensor(gain).double()[:, None, None]
     known = seen(medium(**HAZE), gain=factor)
-    fit = uwaug.fit(*known, model="haze", pixels=3000)
+    fit = uwaug.fit(*known, model="haze", pixels=2000)
     assert values(fit, "beta") == pytest.approx(TRUTH["beta"], rel=0.04)
     wanted = [x * one for x, one in zip(TRUTH["veil"], gain, strict=True)]
     assert values(fit, "veil") == pytest.approx(wanted, rel=0.04)
     assert ("gain_red" in fit.parameters) == (gain != (1.0, 1.0, 1.0))
     assert fit.medium.ambient()[0].tolist() == pytest.approx(gain, rel=0.04)
-    fixed = uwaug.fit(*known, model="haze", pixels=3000, gain="fixed")
+    fixed = uwaug.fit(*known, model="haze", pixels=2000, gain="fixed")
     assert bool(remark(fixed, NOISE)) == (gain != (1.0, 1.0, 1.0))
     assert "gain_red" not in fixed.parameters
 
 
-@pytest.mark.parametrize(
-    ("model", "law"),
-    [
-        ("haze", uwaug.PointSpread.none()),
-        ("exponential", uwaug.PointSpread(0.8, 0.8, "exponential")),
-    ],
-)
-def test_the_model_that_made_the_picture_is_chosen(model, law):
-    changes = HAZE if model == "haze" else {"law": law}
-    assert uwaug.fit(*seen(medium(**changes)), pixels=1000).model == model
+def test_the_model_that_made_the_picture_is_chosen(haze, hazy):
+    law = uwaug.PointSpread(0.8, 0.8, "exponential")
+    assert uwaug.fit(*seen(medium(law=law)), pixels=1000).model == "exponential"
+    assert uwaug.fit(*hazy, pixels=500).model == "haze"
 
 
 def test_a_veil_of_its_own_rate():
@@ -138,19 +136,17 @@ def test_numbers_at_a_bound_say_so():
     fit = uwaug.fit(*plain, model="haze", pixels=2000)
     veil = fit.parameters["veil_red"]
     assert veil.value == pytest.approx(0.0, abs=2e-3)
-    assert veil.low <= veil.value <= veil.high
-    assert 0 < veil.high < 0.01
+    assert veil.low <= veil.value <= veil.high < 0.01
     at_bound = veil.state == "at bound"
     assert at_bound == (veil.error is None) == bool(remark(fit, "At the end of what they may be"))
 
 
 def test_what_is_black_is_not_identified(hazy):
-    dark, z = hazy.clean.clone(), hazy.distance
+    dark, behind = hazy.clean.clone(), hazy.observed.clone()
     dark[2] = 0
-    behind = hazy.observed.clone()
-    light = medium(**HAZE).backscatter(z.double())[0, 2]
-    behind[2] = (linear_to_srgb(light) * 255).round().to(torch.uint8)
-    fit = uwaug.fit(dark, behind, z, model="veil", pixels=2000)
+    light = medium(**HAZE).backscatter(hazy.distance.double())[0, 2]
+    behind[2] = as_bytes(light, noise=0.0)
+    fit = uwaug.fit(dark, behind, hazy.distance, model="veil", pixels=2000)
     assert fit.parameters["beta_blue"].state == "not identified"
     red = fit.parameters["beta_red"]
     assert red.value == pytest.approx(TRUTH["beta"][0], abs=4 * red.error)
@@ -161,7 +157,7 @@ def test_a_grey_wall_shows_no_scattering(hazy):
     light = srgb_to_linear(wall.double() / 255)
     observed = as_bytes(uwaug.form_image(light, hazy.distance.double(), medium()).image, 0.005)
     fit = uwaug.fit(wall, observed, hazy.distance, model="gaussian", gain="fixed", pixels=2000)
-    assert all(value is None for value in values(fit, "beta"))
+    assert values(fit, "beta") == [None] * 3
     assert values(fit, "G") == pytest.approx(TRUTH["G"], rel=0.2)
 
 
@@ -181,11 +177,11 @@ def test_a_blur_within_a_pixel_tells_no_scattering(known):
 def test_pictures_of_our_own_do_not_alarm(known):
     """One that had no noise but of 8 bits was said to be off by .022 m, and an estimate."""
     clean, _, z = known
-    for law in (uwaug.PointSpread(0.8, 0.9), uwaug.PointSpread(2.0, 0.62, "exponential")):
-        observed = uwaug.Underwater(medium(law=law))(clean, z)
-        fit = uwaug.fit(clean, observed, z, model=law.shape, pixels=2000)
-        assert not remark(fit, NOISE)
-        assert values(fit, "G") == pytest.approx(TRUTH["G"], rel=0.02)
+    law = uwaug.PointSpread(2.0, 0.62, "exponential")
+    observed = uwaug.Underwater(medium(law=law))(clean, z)
+    fit = uwaug.fit(clean, observed, z, model=law.shape, pixels=2000)
+    assert not remark(fit, NOISE)
+    assert values(fit, "G") == pytest.approx(TRUTH["G"], rel=0.02)
 
 
 WRONG = {
@@ -196,7 +192,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("wrong", WRONG)
-def test_what_is_no_noise_is_said(known, auto, wrong):
+def test_what_is_no_noise_is_said(known, wrong):
     fit = uwaug.fit(*WRONG[wrong](known), model="gaussian", pixels=4000)
     (said,) = remark(fit, NOISE)
     assert "numbers may be off by more" in said
@@ -204,7 +200,7 @@ def test_what_is_no_noise_is_said(known, auto, wrong):
     assert not remark(fit, COMPOSED)
 
 
-def hazed(noise=0.0, size=1.0):
+def hazed(noise=0.0):
     """A haze that was composed in the values of the file, as bytes, and its distances."""
     clean, z = scene()
     beta, veil = (torch.tensor(x).double()[:, None, None] for x in (SET["beta"], SET["veil"]))
@@ -217,16 +213,16 @@ def hazed(noise=0.0, size=1.0):
 SET = {"beta": (0.288, 0.122, 0.134), "veil": (0.10, 0.45, 0.55)}
 
 
-@pytest.mark.parametrize("model, noise", [("haze", 0.0), ("haze", 0.01), ("auto", 0.01)])
+@pytest.mark.parametrize("model, noise", [("haze", 0.0), ("auto", 0.01)])
 def test_a_haze_of_encoded_values_is_told(model, noise):
     """Rates of .515, .162 and .153 came out, with errors of .006."""
     pictures = hazed(noise)
-    fit = uwaug.fit(*pictures, model=model, pixels=2000)
+    fit = uwaug.fit(*pictures, model=model, pixels=1000)
     (said,) = remark(fit, COMPOSED)
     assert float(said.partition("fits ")[2].split()[0]) > (3 if noise == 0 else 1.2)
     assert "(--color-space linear)" in said
     # the cure gives the rates, says nothing more, and makes the picture
-    cured = uwaug.fit(*pictures, model=model, pixels=2000, color_space="linear")
+    cured = uwaug.fit(*pictures, model=model, pixels=1000, color_space="linear")
     assert cured.model == "haze"
     assert not remark(cured, COMPOSED) + remark(cured, NOISE)
     for kind, truth in SET.items():
@@ -237,10 +233,7 @@ def test_a_haze_of_encoded_values_is_told(model, noise):
 
 @pytest.mark.parametrize(
     ("system", "is_of_values"),
-    [
-        *[(name, True) for name in ("ueda-2019", "hou-2020", "li-2020", "slurpp-2025")],
-        *[(name, False) for name in ("akkaynak-2018", "desai-2021", "liu-2022", "desai-2024")],
-    ],
+    [("ueda-2019", True), ("li-2020", True), ("akkaynak-2018", False), ("desai-2024", False)],
 )
 def test_published_systems_that_compose_in_encoded_values(system, is_of_values):
     clean, z = scene()
@@ -252,31 +245,27 @@ def test_published_systems_that_compose_in_encoded_values(system, is_of_values):
 
 def test_a_haze_of_encoded_values_keeps_what_is_known():
     known = {"beta_red": SET["beta"][0], "veil_blue": SET["veil"][2]}
-    assert remark(uwaug.fit(*hazed(), model="haze", fixed=known, pixels=1000), COMPOSED)
+    assert remark(uwaug.fit(*hazed(), model="haze", fixed=known, pixels=500), COMPOSED)
     wrong = {"beta_red": 0.9, "beta_green": 0.9, "beta_blue": 0.9}
-    assert not remark(uwaug.fit(*hazed(), model="haze", fixed=wrong, pixels=1000), COMPOSED)
-    # a blur has no place in it
-    fit = uwaug.fit(*hazed(), model="gaussian", fixed={"exponent": 0.9}, pixels=500)
-    assert not remark(fit, COMPOSED)
+    assert not remark(uwaug.fit(*hazed(), model="haze", fixed=wrong, pixels=500), COMPOSED)
 
 
 def test_units_are_doubted(hazy):
-    clean, observed, z = hazy
-    fit = uwaug.fit(clean, observed, z / 1000, model="haze", pixels=1000)
-    assert remark(fit, "are the distances in metres?")
+    near = hazy._replace(distance=hazy.distance / 1000)
+    assert remark(uwaug.fit(*near, model="haze", pixels=500), "are the distances in metres?")
 
 
 def test_fits_bear_outliers(hazy):
     spoilt = hazy.observed.clone()
     spoilt[:, ::7, ::5] = 250  # 3 % of the pixels
-    fit = uwaug.fit(hazy.clean, spoilt, hazy.distance, model="haze", pixels=2000)
+    fit = uwaug.fit(*hazy._replace(observed=spoilt), model="haze", pixels=2000)
     for kind in ("beta", "veil"):
         assert values(fit, kind) == pytest.approx(TRUTH[kind], rel=0.03)
 
 
 def test_noise_above_all_leaves_pixels():
     loud = seen(medium(**HAZE), noise=0.15)
-    fit = uwaug.fit(*loud, model="haze", gain="fixed", pixels=3000)
+    fit = uwaug.fit(*loud, model="haze", gain="fixed", pixels=2000)
     assert fit.rms > 0.1
     assert abs(errors(fit, kinds=("beta",))).max() < 4
 
@@ -308,15 +297,13 @@ def test_a_fit_repeats_itself_anywhere(hazy: Known, haze):
 
 def test_progress(hazy, capsys, monkeypatch):
     said = []
-    fit = uwaug.fit(*hazy, model="haze", pixels=1000, progress=said.append)
-    assert said == [
-        "blurring the clean picture",
-        "learning the noise",
+    uwaug.fit(*hazy, model="haze", pixels=500, progress=said.append)
+    assert said[0] == "blurring the clean picture"
+    assert said[2:] == [
         "fitting 'haze + gain', 1 of 1",
         "fitting without a gain",
         "trying encoded values",
     ]
-    assert fit.model == "haze"
     now = iter([0.0, 0.5, 2.0, 0.0, 2.0])
     monkeypatch.setattr("uwaug.fitting.api.time.monotonic", lambda: next(now))
     say = checked_options(1000, 0, True)
@@ -326,8 +313,7 @@ def test_progress(hazy, capsys, monkeypatch):
     assert capsys.readouterr() == ("", "uwaug: late\n")
 
 
-@pytest.mark.parametrize("model", ["veil", "auto"])
-def test_a_chart_of_few_colours_at_four_distances(model: str) -> None:
+def test_a_chart_of_few_colours_at_four_distances() -> None:
     """96 colours, one number for a patch, tell 12 numbers of 0.3 % noise."""
     random = torch.Generator().manual_seed(0)
     clean = 0.05 + 0.7 * torch.rand(3, 1, 24, generator=random).expand(3, 4, 24)
@@ -335,13 +321,12 @@ def test_a_chart_of_few_colours_at_four_distances(model: str) -> None:
     beta, veil = (torch.tensor(x)[:, None, None] for x in ((0.45, 0.12, 0.1), (0.05, 0.3, 0.4)))
     observed = clean * torch.exp(-beta * z) - veil * torch.expm1(-beta * z)
     observed += 0.003 * torch.randn(observed.shape, generator=random)
-    fit = uwaug.fit(clean, observed, z, model=model, color_space="linear")
+    fit = uwaug.fit(clean, observed, z, color_space="linear")
     assert {x.name.partition(" ")[0] for x in fit.candidates} <= {"haze", "veil"}
     truth = {"beta": beta.flatten(), "veil": veil.flatten()}
     assert np.abs(errors(fit, truth, ("beta", "veil"))).max() < 4
-    for kind, values in truth.items():
-        for colour, value in zip(COLOURS, values.tolist(), strict=True):
-            assert fit.parameters[f"{kind}_{colour}"].value == pytest.approx(value, rel=0.1)
+    for kind, wanted in truth.items():
+        assert values(fit, kind) == pytest.approx(wanted.tolist(), rel=0.1)
 
 
 def test_a_chart_without_noise_is_exact() -> None:

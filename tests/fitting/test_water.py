@@ -2,7 +2,7 @@ from typing import Literal
 
 import pytest
 import torch
-from fitted import Known, scene, seen
+from fitted import scene, seen
 
 import uwaug
 import uwaug.fitting.jerlov
@@ -20,15 +20,13 @@ def medium_of(water: uwaug.Water | str, depth: float, **options: object) -> uwau
     return uwaug.Medium.from_water(water, vertical_depth=depth, **{**known, **options})
 
 
-def test_finds_type_visibility_and_depth(water: Fit, known: Known) -> None:
+def test_finds_type_visibility_and_depth(water: Fit) -> None:
     assert water.model == "3C"
-    visibility, depth = (water.parameters[name] for name in ("visibility", "vertical_depth"))
-    assert visibility.value == pytest.approx(5, rel=0.02)
-    assert depth.value == pytest.approx(3, abs=0.1)
-    assert abs(visibility.value - 5) < 4 * visibility.error
-    assert abs(depth.value - 3) < 4 * depth.error
+    for name, truth, most in (("visibility", 5, 0.1), ("vertical_depth", 3, 0.1)):
+        number = water.parameters[name]
+        assert abs(number.value - truth) < min(most, 4 * number.error)
     assert water.water is not None
-    assert water.water.visibility() == pytest.approx(visibility.value)
+    assert water.water.visibility() == pytest.approx(water.parameters["visibility"].value)
     tried = {f"{name}, {kind}" for name in uwaug.JERLOV_TYPES for kind in ("grey", "spectral")}
     assert {candidate.name for candidate in water.candidates} == tried
     behind = [tried.behind for tried in water.candidates]
@@ -38,16 +36,13 @@ def test_finds_type_visibility_and_depth(water: Fit, known: Known) -> None:
     assert not any(NOISE in note for note in water.notes)
 
 
-@pytest.mark.parametrize(
-    ("kind", "depth", "gain"), [("II", 6.0, 1.0), ("1C", 8.0, 0.6), ("7C", 1.0, 0.6)]
-)
-def test_what_uwaug_has_made(kind: str, depth: float, gain: float) -> None:
+@pytest.mark.parametrize(("kind", "depth", "gain"), [("II", 6.0, 1.0), ("3C", 1.0, 0.6)])
+def test_what_uwaug_has_made(kind: str, depth: float, gain: float, two: None) -> None:
     """Exposure is the medium's: it makes the observed picture."""
-    clean, z = scene(step=4)
-    law = uwaug.PointSpread.calibrated()
-    water = medium_of(kind, depth, point_spread=law).brightened(torch.tensor([gain]))
+    clean, z = scene()
+    water = medium_of(kind, depth).brightened(torch.tensor([gain]))
     observed = uwaug.Underwater(water)(clean, z)
-    fit = fit_water(clean, observed, z, pixels=1500)
+    fit = fit_water(clean, observed, z, pixels=1000)
     assert fit.model == kind
     truth = {"contents": 1.0, "vertical_depth": depth, "gain": gain}
     for name, value in truth.items():
@@ -74,8 +69,7 @@ def test_depth_that_is_not_identified(two: None) -> None:
 
 def test_what_is_known_is_given(two: None) -> None:
     paper = {"g": 0.2, "surfaces": "grey", "point_spread": uwaug.PointSpread.paper()}
-    observed = seen(medium_of("3C", 1.0, **paper))
-    fit = fit_water(*observed, vertical_depth=1.0, pixels=500, **paper)
+    fit = fit_water(*seen(medium_of("3C", 1.0, **paper)), vertical_depth=1.0, pixels=500, **paper)
     depth = fit.parameters["vertical_depth"]
     assert (depth.value, depth.state) == (1.0, "fixed")
     assert fit.parameters["contents"].value == pytest.approx(1, rel=0.02)
@@ -85,19 +79,13 @@ def test_what_is_known_is_given(two: None) -> None:
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
 def test_surfaces_are_told_and_depth_is_in_its_interval(two: None, surfaces: Surfaces) -> None:
     """Of a picture as `uwaug degrade --plain` makes it, by the default tolerance, in 8 bits."""
-    clean, z = scene(step=5)
-    law = uwaug.PointSpread.calibrated()
-    plain = uwaug.Medium.from_water(
-        "3C", vertical_depth=4.0, g=0.05, point_spread=law, surfaces=surfaces
-    )
+    clean, z = scene()
+    plain = medium_of("3C", 4.0, surfaces=surfaces)
     fit = fit_water(clean, uwaug.Underwater(plain)(clean, z), z, pixels=1000)
     assert (fit.model, fit.adequate) == ("3C", True)
     assert fit.notes[0].startswith(f"Jerlov type 3C, {surfaces} surfaces.")
     depth = fit.parameters["vertical_depth"]
-    assert depth.low is not None
-    assert depth.high is not None
-    assert depth.low <= 4 <= depth.high
-    assert depth.high - depth.low < 0.2
+    assert depth.high - 0.2 < depth.low <= 4 <= depth.high
 
 
 @pytest.mark.parametrize("wrong", ["no Jerlov water", "distances", "surfaces"])
@@ -111,7 +99,7 @@ def test_no_type_is_named_that_does_not_explain_the_picture(two: None, wrong: st
     else:
         grey = uwaug.Medium.from_coefficients((0.3,) * 3, (0.2,) * 3, (0.5,) * 3)
         clean, observed, z = seen(grey)
-    fit = fit_water(clean, observed, z, surfaces=surfaces, pixels=1000)
+    fit = fit_water(clean, observed, z, surfaces=surfaces, pixels=500)
     assert any(NOISE in note for note in fit.notes)
     assert (fit.model, fit.adequate) == ("no Jerlov type", False)
     assert fit.notes[0].startswith("No Jerlov type explains the picture, so none is named.")

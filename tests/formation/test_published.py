@@ -16,7 +16,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from uwaug import Camera, Medium, PointSpread, Water, form_image, load_camera, load_preset
+from uwaug import Camera, Medium, Water, form_image, load_camera, load_preset
 
 CASES = ("survey_II", "survey_3C", "survey_9C", "reference_1C", "rgbcoeff_II")
 SPECTRAL = CASES[:4]
@@ -51,7 +51,7 @@ def load(name: str) -> Published:
     veil = response * (p["mu"] * b * ambient / G)
     arrays = (a + b, weights, G, weights, veil, np.array(b.mean()))
     tensors = [torch.from_numpy(x)[None] for x in arrays]
-    medium = Medium(*tensors, point_spread=PointSpread.none())
+    medium = Medium(*tensors)
     return Published(*columns, parameters=p, medium=medium)
 
 

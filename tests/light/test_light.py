@@ -206,14 +206,12 @@ def test_a_lamp_shows_where_daylight_is_gone() -> None:
 
 def test_a_blur_is_planned_for_lamps() -> None:
     """Where daylight is gone, what a lamp's light scatters forward is blurred all the same."""
-    deep = Medium.from_water(
-        "7C", vertical_depth=60.0, point_spread=PointSpread(0.03 * 38.0, 0.62, "exponential")
-    )
+    deep = Medium.from_water("7C", vertical_depth=60.0, point_spread=PointSpread.calibrated())
     image, z = scene(1)
     light = Light((BESIDE,))
     found = form_image(image, z, deep, light=light, tolerance=0.001)
     exact = form_image(image, z, deep, light=light, tolerance=1e-5)
-    law = replace(deep, point_spread=PointSpread.none())
+    law = replace(deep, scale=torch.zeros(1))
     sharp = form_image(image, z, law, light=light)
     assert float((found.image - exact.image).square().mean().sqrt()) < 0.001
     assert float((sharp.forward - exact.forward).square().mean().sqrt()) > 0.01

@@ -21,6 +21,14 @@ WATERS = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
 PLACES = ("reef", "harbour", "lake", "fjord")
 
 
+def view_table(degrees: float | None, focal_px: float | None) -> dict[str, float]:
+    """A view as a table of options, empty if none is given."""
+    if degrees is not None and focal_px is not None:
+        raise ValueError("--view and --focal-px say the same: give one of them")
+    numbers = {"degrees": degrees, "focal_px": focal_px}
+    return {name: number for name, number in numbers.items() if number is not None}
+
+
 def complete(*words: str) -> Callable[[str], list[str]]:
     """Shell completion of a few words."""
     # typer knows the argument by its name
@@ -46,6 +54,12 @@ Holes = Annotated[
         metavar="WORD|METRES",
         autocompletion=complete("error", "fill", "behind", "far"),
     ),
+]
+ViewAngle = Annotated[
+    float | None, typer.Option("--view", help="Horizontal angle of the camera's view, degrees.")
+]
+FocalPx = Annotated[
+    float | None, typer.Option(help="In place of --view: focal length, px of the pictures.")
 ]
 Water = Annotated[
     str | None,

@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from uwaug.cli.choices import Force, Holes, Preset, Resume, Unit, Workers, number_or_word
+from uwaug.cli.choices import (
+    FocalPx,
+    Force,
+    Holes,
+    Preset,
+    Resume,
+    Unit,
+    ViewAngle,
+    Workers,
+    number_or_word,
+    view_table,
+)
 from uwaug.cli.console import (
     counted,
     end_if_failed,
@@ -66,6 +77,8 @@ def degrade(
         ),
     ] = None,
     preset: Preset = None,
+    view: ViewAngle = None,
+    focal_px: FocalPx = None,
     plain: Annotated[
         bool,
         typer.Option(
@@ -154,6 +167,8 @@ def degrade(
             raise ValueError(f"--severity all needs a folder, got --out {out}")
         grades = {"": None} if severity is None else _grades(severity)
         values = _options(preset, plain, options, set_ or (), water or (), contrast)
+        if table := view_table(view, focal_px):
+            values["view"] = table
         names = ("drift", "motion", "quality", "background")
         run_options = [name for name in names if name in values]
         run_values = {name: values.pop(name) for name in run_options}
@@ -179,6 +194,9 @@ def degrade(
             maps=maps,
             **run_values,
         )
+        if recipe.transform.water.has_media and (severity or contrast not in (None, "none")):
+            got = "--severity" if severity else "--contrast"
+            raise ValueError(f"{got}: a medium of coefficients stays as it is, without grades")
         items = find_items(pictures, distances.maps, exclude=[out, labels])
         if formats_left_out := left_out(pictures, distances.maps, exclude=[out, labels]):
             print(f"left out, as such files are not read: {formats_left_out}")
@@ -221,7 +239,6 @@ def _grades(severity: str) -> dict[str, float | None]:
 
 
 def _print_summary(summary: "Summary", out: Path, labels: str | None) -> None:
-    """Print what became of a run."""
     print_counts(summary, "pictures", out)
     if labels is not None:
         count, kept = summary.objects

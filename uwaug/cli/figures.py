@@ -92,7 +92,6 @@ def compare(
 def _draw_into(
     out: Path, scene: "Scene", pictures: "Mapping[str, Callable[[Scene], Figure]]", force: bool
 ) -> None:
-    """Draw the sheets of a scene into a folder, and print their names."""
     from uwaug._support.extras import require
     from uwaug.figures.sheet import save
 

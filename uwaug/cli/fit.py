@@ -5,7 +5,16 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from uwaug.cli.choices import Distance, Force, Unit, number_or_word, read_metres
+from uwaug.cli.choices import (
+    Distance,
+    FocalPx,
+    Force,
+    Unit,
+    ViewAngle,
+    number_or_word,
+    read_metres,
+    view_table,
+)
 from uwaug.cli.console import print_written, reported_errors, require_writable
 
 
@@ -32,6 +41,8 @@ def fit(
         Literal["auto", "grey", "spectral"],
         typer.Option(help="Surfaces of --model waters: grey, with spectra, or what fits better."),
     ] = "auto",
+    view: ViewAngle = None,
+    focal_px: FocalPx = None,
     darkest: Annotated[
         float | None,
         typer.Option(
@@ -69,6 +80,9 @@ def fit(
             raise ValueError("--model waters fits the gain: leave out --gain fixed")
         if model != "waters" and surfaces != "auto":
             raise ValueError(f"--surfaces {surfaces} is of --model waters, got --model {model}")
+        table = view_table(view, focal_px)
+        if table and model != "waters":
+            raise ValueError(f"--view and --focal-px are of --model waters, got --model {model}")
         if clean is None and (model not in ("auto", "veil") or gain == "fixed"):
             got = f"--model {model} --gain {gain}"
             raise ValueError(f"{got} needs --clean; without it, the veil alone is estimated")
@@ -83,15 +97,16 @@ def fit(
         if holes == "error" and (unknown := int((~(z > 0)).sum())):
             cure = "--holes none leaves them out, and far takes them for open water"
             raise ValueError(f"{distance}: unknown at {unknown} of {z.numel()} pixels: {cure}")
+        options: dict[str, Any] = {"color_space": color_space}
         if clean is None:
-            given: dict[str, Any] = {} if darkest is None else {"darkest": darkest}
-            result = fit_veil(wet, z, color_space=color_space, **given)
+            if darkest is not None:
+                options["darkest"] = darkest
+            result = fit_veil(wet, z, **options)
         elif model == "waters":
-            dry = read_picture(clean)
-            result = fit_water(dry, wet, z, surfaces=surfaces, color_space=color_space)
+            options |= {"surfaces": surfaces, "view": uwaug.View(**table)}
+            result = fit_water(read_picture(clean), wet, z, **options)
         else:
-            dry = read_picture(clean)
-            result = uwaug.fit(dry, wet, z, model=model, gain=gain, color_space=color_space)
+            result = uwaug.fit(read_picture(clean), wet, z, model=model, gain=gain, **options)
         result.save(out)
         print(result.summary())
         print_written(out)

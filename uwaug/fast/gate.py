@@ -43,7 +43,7 @@ def can(image: Tensor, z: Tensor, setting: Setting) -> bool:
     classes = {type(development), type(development.noise), type(light), *map(type, medium.snow)}
     if not classes <= _CLASSES or not _has_its_sums(medium):
         return False
-    if any(isinstance(number, Tensor) for number in vars(development).values()):
+    if Tensor in map(type, vars(development).values()):
         return False
     records = torch.is_grad_enabled()
     for value in (image, z, *medium.tensors(), None if light is None else light.pitch):

@@ -5,7 +5,6 @@ import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import cache, lru_cache, partial
 from threading import Lock
 from typing import Any, NamedTuple
@@ -50,6 +49,7 @@ from uwaug.formation.setting import Setting
 from uwaug.light import Light
 from uwaug.light.snow import flakes
 from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import IN_PIXELS
 from uwaug.optics.view import Size
 from uwaug.optics.weights import Weights
 
@@ -104,13 +104,14 @@ def form(
     waters = _waters(medium, light, weights, lamps, maps)
     rays = rays_tables(setting.view, light, size)
     batch = max(len(J), len(maps), len(medium), len(rays))
-    columns = J.numpy(), maps.numpy()[:, 0], unscaled.numpy()[:, 0], waters, rays
-    rows = zip(*(_each(column, batch) for column in columns), strict=True)
-    scenes = [_Scene(*row) for row in rows]
+    columns: Any = J.numpy(), maps.numpy()[:, 0], unscaled.numpy()[:, 0], waters, rays
+    if batch > 1:
+        columns = [_each(column, batch) for column in columns]
+    scenes = [_Scene(*row) for row in zip(*columns, strict=True)]
     gains = _gains(scenes, development, has_light=light is not None)
     ends = blurred_between(z, brightest)
     if plan is None:
-        law = replace(medium.law, unit="px")
+        law = IN_PIXELS[medium.law.shape]
         plan = demand_of(brightest.seen_by(gains), law, ends, tolerance).plan(size, shared=True)
     blurs = plan_table(plan, size)
     widths = [places_table(weights.row(n), plan, ends) for n in range(len(medium))]
@@ -146,9 +147,9 @@ def form(
     return result.to(image.dtype)
 
 
-def _each(rows: Any, batch: int) -> list[Any]:
+def _each(rows: Any, batch: int) -> Any:
     """A row for each picture of a batch; a single one serves all."""
-    return [rows[n % len(rows)] for n in range(batch)]
+    return rows if len(rows) == batch else [rows[n % len(rows)] for n in range(batch)]
 
 
 def _strips(size: Size) -> list[range]:

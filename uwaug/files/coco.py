@@ -1,26 +1,21 @@
 """Labels of COCO: a JSON file for all pictures."""
 
-import glob
 import hashlib
 import json
 import os
 import re
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uwaug.files.labels import Entry, Key, Labels, require_size, write_labels
-from uwaug.files.paths import PICTURES, parts_of, split_of
+from uwaug.files.labels import Entry, Key, Labels, require_size
+from uwaug.files.paths import matched, parts_of, split_of
 
 if TYPE_CHECKING:
     from uwaug.files.items import Item
     from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
-
-
-_DIGEST = "uwaug_sha256"  # key of the digest of all other entries of a file that is written
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +58,6 @@ class Coco(Labels):
         expected = f"no image has the file_name {items[0].name} in its split (there are {names})"
         return cls(path, of, rest, len(images)) if of else f"{path}: {expected}"
 
-    @property
-    def shared(self) -> tuple[str, ...]:
-        return (glob.escape(self.path.name),)
-
     def only(self, name: str) -> "Coco":
         return Coco(self.path, super().only(name).of)
 
@@ -85,10 +76,9 @@ class Coco(Labels):
                 got = f"annotation {entry.get('id')}: {error!r}"
                 raise ValueError(f"{self.path}, {got}") from error
 
-    def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
-        """Write a file of the same name, with the images of the pictures, and a "contrast" in each
-        annotation. Images and annotations of several variants get new numbers. A digest tells
-        later whether somebody has edited the file.
+    def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
+        """A file of the same name, with the images of the pictures, and a "contrast" in each
+        annotation. Images and annotations of several variants get new numbers.
         """
         labelled = [picture for picture in pictures if picture.item.name in self.of]
         renumber = len({picture.item.name for picture in labelled}) < len(labelled)
@@ -108,62 +98,26 @@ class Coco(Labels):
         content = {**self.rest, "images": images, "annotations": annotations}
         missing = self.count - len(self.of)
         note = f"{missing} of {self.count} images of {self.path} have no picture here"
-        notes = [note] if missing else []
-        file = out / self.path.name
-        if file.exists() and not (force or file.samefile(self.path) or _is_written(file)):
-            return [*notes, f"{file} stays, as it was edited: force=True (--force) replaces it"]
-        content[_DIGEST] = _digest(content)
-        write_labels(file, json.dumps(content, ensure_ascii=False).encode(), self.path)
-        return notes
-
-
-def _digest(content: Entry) -> str:
-    """Digest of all entries of a file but the digest itself."""
-    rest = {key: value for key, value in content.items() if key != _DIGEST}
-    return hashlib.sha256(json.dumps(rest).encode()).hexdigest()
-
-
-def _is_written(file: Path) -> bool:
-    """True if a file is as a run has written it."""
-    try:
-        content = json.loads(file.read_bytes())
-        return bool(content.get(_DIGEST) == _digest(content))
-    except (ValueError, AttributeError):
-        return False
+        text = json.dumps(content, ensure_ascii=False)
+        return {self.path.name: text.encode()}, [note] * bool(missing)
 
 
 def _matches(path: Path, images: Sequence[Entry], items: Sequence["Item"]) -> dict[str, Entry]:
-    """The image of each picture that has one, by the picture's name.
-
-    The path of an image is the end of its picture's path, as it is or without "images". Of an
-    absolute path, a folder and the name are enough. Refuses an image that may be of two pictures.
+    """The image of each picture that has one, by the picture's name. A file of one split has none
+    for pictures of another.
     """
-    by_end: dict[str, list[Entry]] = defaultdict(list)
-    for image in images:
-        parts = parts_of(str(image["file_name"]))
-        plain = [part for part in parts if part not in PICTURES]
-        is_absolute = re.match(r"[/\\]|\w:", str(image["file_name"]))
-        for end in {"/".join(x) for x in (parts, plain, parts[-2:] if is_absolute else parts)}:
-            by_end[end].append(image)
-    labels = Path(os.path.abspath(path))
-    names: dict[Any, str] = {}
-    matches = {}
+    labels, pictures = Path(os.path.abspath(path)), {}
     for item in items:
         picture = Path(os.path.abspath(item.picture))
         common = len(Path(os.path.commonpath([labels, picture])).parts)
         words = [*labels.parts[common:-1], *re.split(r"[\W_]+", labels.stem)]
-        splits = {split_of(words), split_of(picture.parts[common:-1])} - {None}
-        ends = ("/".join(picture.parts[i:]) for i in range(len(picture.parts)))
-        candidates = next((by_end[end] for end in ends if end in by_end), [])
-        if len(candidates) != 1 or len(splits) > 1:
-            continue
-        image = candidates[0]
-        rival = names.setdefault(image["id"], item.name)
-        if rival != item.name:
-            got = f"{image['file_name']} may be {rival} or {item.name}"
-            raise ValueError(f"{path}: {got}: give the pictures of one folder")
-        matches[item.name] = image
-    return matches
+        if len({split_of(words), split_of(picture.parts[common:-1])} - {None}) < 2:
+            pictures[item.picture] = item.name
+    try:
+        places = matched([str(image["file_name"]) for image in images], [*pictures], whole=True)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    return {pictures[p]: images[n[0]] for p, n in places.items() if len(n) == 1}
 
 
 def _pixels(entry: Entry, size: "Size") -> "Pixels":

@@ -15,7 +15,7 @@ from uwaug.distance import Inverse, Metres, Network, Relative
 from uwaug.files.items import Item
 from uwaug.files.pictures import read_distance, read_picture
 from uwaug.files.record import digest
-from uwaug.files.run import Job, Progress, Work, require_free, run
+from uwaug.files.run import Job, Progress, Work, run
 from uwaug.files.summary import Summary
 
 _WHITE = 65535  # of 16 bits
@@ -49,25 +49,19 @@ def write_maps(
         TypeError: if the network is a function.
         ValueError, OSError: as `degrade`.
     """
-    out = Path(out)
-    require_free(out, resume=resume, force=force)
-    work = _Maps(network, out, resume=resume, force=force)
+    work = _Maps(network, Path(out))
     jobs = [Job(item, Path(item.name).with_suffix(".png").as_posix()) for item in items]
-    return run(work, jobs, workers=workers, sheet=sheet, progress=progress)
+    return run(
+        work, jobs, workers=workers, resume=resume, force=force, sheet=sheet, progress=progress
+    )
 
 
 class _Maps(Work):
-    """Maps of a network."""
-
-    def __init__(self, network: Network, out: Path, *, resume: bool, force: bool) -> None:
-        super().__init__(out, resume=resume, force=force)
-        self.network = network
-        self._plain = codec.to_plain(network)  # refuses a function
+    def __init__(self, network: Network, out: Path) -> None:
+        plain = codec.to_plain(network)  # refuses a function
         assert network.file is not None
-        self._plain["model"] = digest(network.file)
-
-    def made_of(self, job: Job) -> dict[str, Any]:
-        return {**super().made_of(job), "network": self._plain}
+        super().__init__(out, {"network": {**plain, "model": digest(network.file)}})
+        self.network = network
 
     def make(self, job: Job) -> tuple[NDArray[np.uint16], dict[str, Any]]:
         image = read_picture(job.item.picture)

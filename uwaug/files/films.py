@@ -95,7 +95,6 @@ def unjoined(items: Sequence[Item]) -> str:
 
 
 def _folders_of(frames: Mapping[Item, Frame]) -> list[list[str]]:
-    """Folders of the cameras of each film."""
     films: dict[Item, dict[str, None]] = {}
     for item, frame in frames.items():
         films.setdefault(frame.candidates[0], {})[os.path.dirname(item.name) or "."] = None

@@ -6,14 +6,15 @@ import re
 from bisect import bisect
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from uwaug.files.labels import aliases
-from uwaug.files.paths import below, matched, time_of
+from uwaug.files.folder import manifest_of
+from uwaug.files.paths import Files, aliases, matched, time_of
 from uwaug.files.pictures import ENDINGS, MAP_ENDINGS, holds_picture
-from uwaug.files.record import is_written, places_of
+from uwaug.files.record import record_of
 
 _PICTURE_ENDINGS = tuple(end for end in ENDINGS if end != ".npy")
 
@@ -33,6 +34,10 @@ _UNREAD = {
 
 _OF_DISKS = ("@eaDir", "@Recycle", "@Recently-Snapshot", "@tmp")  # folders of network disks
 _MAX_DELAY_S = 0.02  # between a picture and its map, as in TUM's own tool
+# maps of x.png may be called x_depth.png, too
+_MARKED_ENDS = tuple(
+    f"{mark}{end}" for mark in ("_depth", "_distance", "_disp", "-depth") for end in MAP_ENDINGS
+)
 _STEM = re.compile(r"\{stem(?::([^=}]*)=([^}]*))?\}")
 
 
@@ -84,33 +89,32 @@ def find_items(
         folder, paths = source.parent, [source]
     else:
         folder, paths = source, sorted(_inside(source, [*exclude, distance], _PICTURE_ENDINGS))
-    items, times_in = [], cache(_times_in)
+    items, files = [], Files()
     place = Path(distance or ".")
-    listed = _listed(place, paths) if place.suffix.lower() == ".txt" else {}
+    listed = _listed(place, paths, files) if place.suffix.lower() == ".txt" else {}
     for path in paths:
         name = path.relative_to(folder).as_posix()
-        file = listed[path] if path in listed else _map(distance, path, name)
-        if distance and place.is_dir() and file and not file.is_file():
-            delay, nearest = _nearest(file, times_in(file.parent))
-            file = nearest if delay <= _MAX_DELAY_S and nearest.parent != path.parent else file
+        file = listed[path] if path in listed else _map(distance, path, name, files)
         shown = os.fsencode(name).decode(errors="backslashreplace")
         items.append(Item(shown, path, file))
-    maps = set()
+    if distance and place.is_dir():
+        items = _with_nearest(items)
+    own = set()
     for item in items:  # an EXR may hold its distances, too
         if item.distance != item.picture or item.picture.suffix.lower() != ".exr":
-            maps.add(item.distance and os.path.abspath(item.distance))
+            own.add(item.distance and os.path.abspath(item.distance))
     items = [
         item
         for item in items
-        if os.path.abspath(item.picture) not in maps and holds_picture(item.picture)
+        if os.path.abspath(item.picture) not in own and holds_picture(item.picture)
     ]
     if not items:
         unread = left_out(source, distance, exclude=exclude)
         got = f"{', '.join(_PICTURE_ENDINGS)}{unread and f'; there are {unread}'}"
         raise ValueError(f"no pictures in {pictures}: expected {got}")
-    files = [item.distance for item in items if item.distance is not None]
-    if files and not any(map(Path.is_file, files)):
-        expected = f"such as {files[0]}, ending in {', '.join(MAP_ENDINGS)}; {there(files[0])}"
+    maps = [item.distance for item in items if item.distance is not None]
+    if maps and not any(map(Path.is_file, maps)):
+        expected = f"such as {maps[0]}, ending in {', '.join(MAP_ENDINGS)}; {there(maps[0])}"
         raise ValueError(f"distance: {distance} has no map for any picture: expected {expected}")
     return items
 
@@ -157,27 +161,31 @@ def cure_of(end: str) -> str:
 def _inside(
     folder: Path, exclude: Iterable[str | Path | None], endings: tuple[str, ...]
 ) -> Iterator[Path]:
-    """Files with one of the endings in a folder and its subfolders that no run has written."""
     excluded = (os.path.realpath(place) for place in exclude if place is not None)
-    for path in _files(folder, frozenset(excluded)):
-        if path.suffix.lower() in endings and not is_written(path):
+    manifest = manifest_of(folder) or {"files": (), "lists": ()}
+    written = {folder / name for name in (*manifest["files"], *manifest["lists"])}
+    for path in _files(folder, folder.iterdir(), frozenset(excluded)):
+        if path.suffix.lower() in endings and path not in written and record_of(path) is None:
             yield path
 
 
-def _files(folder: Path, excluded: frozenset[str]) -> Iterator[Path]:
-    """Files in a folder and its subfolders, but for excluded ones, those of runs, and names that
-    begin with a dot. A link is followed, unless it leads to a folder that it lies in.
+def _files(folder: Path, paths: Iterable[Path], excluded: frozenset[str]) -> Iterator[Path]:
+    """Files of the paths in a folder and of its subfolders, but for excluded ones, those of runs,
+    those that may not be read, and names that begin with a dot. A link is followed, unless it leads
+    to a folder that it lies in.
     """
     excluded |= {os.path.realpath(folder)}
-    for path in folder.iterdir():
+    for path in paths:
         if path.name.startswith(".") or path.name in _OF_DISKS:
             continue
         if path.name.startswith("Segmentation") and (folder / "JPEGImages").is_dir():
             continue  # Pascal VOC's masks
         if not path.is_dir():
             yield path
-        elif os.path.realpath(path) not in excluded and places_of(path) is None:
-            yield from _files(path, excluded)
+        elif os.path.realpath(path) not in excluded and manifest_of(path) is None:
+            with suppress(PermissionError):  # such as lost+found of a disk
+                inner = [*path.iterdir()]
+                yield from _files(path, inner, excluded)
 
 
 def _times_in(folder: Path) -> list[tuple[float, Path]]:
@@ -195,13 +203,29 @@ def _nearest(path: Path, maps: Sequence[tuple[float, Path]]) -> tuple[float, Pat
     return min(((abs(other - time), file) for other, file in near), default=(math.inf, path))
 
 
+def _with_nearest(items: Sequence[Item]) -> list[Item]:
+    """The items with maps of the nearest times, where no map in a folder has a picture's name."""
+    times_in, named = cache(_times_in), set()
+    for item in items:
+        if item.distance and item.distance.is_file():
+            named.add(item.distance.parent)
+    nearest = []
+    for item in items:
+        file = item.distance
+        if file and file.parent not in named:
+            delay, other = _nearest(file, times_in(file.parent))
+            file = other if delay <= _MAX_DELAY_S and other.parent != item.picture.parent else file
+        nearest.append(item._replace(distance=file))
+    return nearest
+
+
 def _delay(pair: Sequence[str]) -> float:
     """Time between two files, s; 0 if their names are no times."""
     times = [time for name in pair if (time := time_of(name)) is not None]
     return max(times) - min(times) if times else 0.0
 
 
-def _listed(file: Path, pictures: Sequence[Path]) -> dict[Path, Path]:
+def _listed(file: Path, pictures: Sequence[Path], files: Files) -> dict[Path, Path]:
     """The maps of pictures in a list, of which a line names both, the map first or last in all."""
     pairs = []
     for line in file.read_text(encoding="utf-8-sig").splitlines():
@@ -216,28 +240,32 @@ def _listed(file: Path, pictures: Sequence[Path]) -> dict[Path, Path]:
         picture: min((pairs[place] for place in of_picture), key=_delay)[1]
         for picture, of_picture in places.items()
     }
-    maps = {p: below(file.parent, path) or file.parent / path for p, path in paths.items()}
+    maps = {p: files.below(file.parent, path) or file.parent / path for p, path in paths.items()}
     return {picture: file / picture.name for picture in pictures} | maps
 
 
-def _map(distance: str | Path | None, path: Path, name: str) -> Path | None:
+def _map(distance: str | Path | None, path: Path, name: str, files: Files) -> Path | None:
     """File of the distances of a picture, by `distance` of `find_items`."""
     if distance is None or Path(distance).is_file():
         return None if distance is None else Path(distance)
-    pattern = str(distance) if _STEM.search(str(distance)) else f"{distance}/{{stem}}"
+    pattern = str(distance)
+    if not _STEM.search(pattern):
+        is_exr = path.suffix.lower() == ".exr"  # which may be its own map
+        ends = (*MAP_ENDINGS, *_MARKED_ENDS)
+        file = files.of(Path() if is_exr else path, name, Path(distance), ends)
+        return file or Path(distance) / os.path.splitext(aliases(name)[0])[0]
     stems, folder = [os.path.splitext(alias)[0] for alias in aliases(name)], Path()
     if not os.path.dirname(pattern):
         stems, folder = [path.stem], path.parent
     bases = [folder / _filled(pattern, stem) for stem in stems]
-    paths = [base.with_name(base.name + end) for base in bases for end in ("", *MAP_ENDINGS)]
-    # an EXR may be its own map; any other picture matches where the part to replace is not there
+    # any picture but an EXR matches where the part to replace is not there
     words = [re.escape(new) for _, new in _STEM.findall(pattern) if new]
     is_map = any(re.search(rf"(?<![^\W_]){word}(?![^\W_])", stems[0]) for word in words)
     picture = None if is_map or path.suffix.lower() == ".exr" else os.path.realpath(path)
-    maps = (file for file in filter(Path.is_file, paths) if os.path.realpath(file) != picture)
+    paths = (files.at(base, (end,)) for base in bases for end in ("", *MAP_ENDINGS))
+    maps = (file for file in paths if file is not None and os.path.realpath(file) != picture)
     return next(maps, bases[0].with_suffix("") if bases[0].suffix in MAP_ENDINGS else bases[0])
 
 
 def _filled(pattern: str, stem: str) -> str:
-    """A pattern with the name of a picture in place of {stem}."""
     return _STEM.sub(lambda m: stem.replace(m[1], m[2]) if m[1] else stem, pattern)

@@ -5,14 +5,13 @@ A format is a class of `Labels` in a file of its own, named in `formats.py`. Not
 formats. This file loads neither NumPy nor PyTorch, as command lines ask formats what they read.
 """
 
-import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 from uwaug._support.atomic import written_whole
-from uwaug.files.paths import PICTURES
+from uwaug.files.paths import Files
 from uwaug.files.record import digest
 
 if TYPE_CHECKING:
@@ -67,11 +66,6 @@ class Labels:
         """
         raise NotImplementedError
 
-    @property
-    def shared(self) -> tuple[str, ...]:
-        """Patterns of the files of all pictures together, in the folder of the run."""
-        return ()
-
     def only(self, name: str) -> Self:
         """Labels of one picture, small enough to be sent to another process."""
         return replace(self, of={name: self.of[name]} if name in self.of else {})
@@ -99,11 +93,11 @@ class Labels:
     def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
         """Write the labels of one picture to the folder of the run, without the dropped ones."""
 
-    def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
-        """Write files for all pictures together, if the format has such; with `force` also over
-        those that people edit. Returns notes.
+    def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
+        """Files of all pictures together, if the format has such, by their names in the folder of
+        the run; and notes.
         """
-        return []
+        return {}, []
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,12 +117,9 @@ class Folder(Labels):
 
     @classmethod
     def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
-        of = {}
+        of, files = {}, Files()
         for item in items:
-            picture, names = os.path.realpath(item.picture), aliases(item.name, *cls.folders)
-            files = [(path / name).with_suffix(cls.end) for name in names]
-            file = next((f for f in files if f.is_file() and os.path.realpath(f) != picture), None)
-            if file is not None:
+            if file := files.of(item.picture, item.name, path, cls.ends(), cls.folders):
                 of[item.name] = file
         if not of:
             expected = (path / items[0].name).with_suffix(cls.end)
@@ -142,6 +133,11 @@ class Folder(Labels):
                 samples.remove(file)
                 reasons.append(str(error))
         return cls(path, of).described(samples) if samples else reasons[0]
+
+    @classmethod
+    def ends(cls) -> tuple[str, ...]:
+        """Ends of the names of files that are read, the likeliest first."""
+        return (cls.end,)
 
     @staticmethod
     def require(file: Path) -> None:
@@ -188,20 +184,6 @@ def judged(labels: Labels, name: str, contrast: "Tensor", limit: float | None) -
         share = round(float(inside.mean(dtype="float64")), 4) if inside.size else 0.0
         objects.append(Judged(key, share, limit is None or share >= limit))
     return objects
-
-
-def aliases(name: str, *folders: str) -> list[str]:
-    """Paths of a picture in a folder of labels or distances, which lies beside the folder of
-    pictures, or above both. images/train/1.png may be train/1.png there, or have one of `folders`
-    in place of "images".
-    """
-    parts = name.split("/")
-    paths = [name, *(f"{folder}/{name}" for folder in folders)]
-    last = max((i for i, folder in enumerate(parts[:-1]) if folder in PICTURES), default=None)
-    if last is not None:
-        for middle in ([], *([folder] for folder in folders)):
-            paths.append("/".join([*parts[:last], *middle, *parts[last + 1 :]]))
-    return paths
 
 
 def require_size(file: Path, stated: "Size", size: "Size") -> None:

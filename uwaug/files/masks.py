@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from uwaug.files.labels import Folder, Key, require_size, write_labels
+from uwaug.files.labels import Folder, Key, require_size
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
+_MARKS = ("_mask", "_masks", "_seg", "_segmentation", "-mask")  # of x.png
 _MAX_COLOURS = 256  # of a mask; a photograph has more
 _SMALL_VALUE = 20  # masks that count classes or objects begin below
 _IGNORED_COLOUR = 0xE0E0C0  # Pascal VOC's, of pixels to ignore
@@ -37,7 +38,10 @@ class Masks(Folder):
     reads = "a folder of .png masks"
     end = ".png"
     folders = ("labels", "masks", "SegmentationClass")
-    shared = ("labelmap.txt",)
+
+    @classmethod
+    def ends(cls) -> tuple[str, ...]:
+        return (cls.end, *(f"{mark}{cls.end}" for mark in _MARKS))
 
     @staticmethod
     def require(file: Path) -> None:
@@ -77,12 +81,11 @@ class Masks(Folder):
         image.save(file, "PNG")
         return file.getvalue()
 
-    def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
-        """Copy CVAT's table of colours and classes."""
-        for source in (self.path.parent / "labelmap.txt", self.path / "labelmap.txt"):
-            if source.is_file():
-                write_labels(out / source.name, source.read_bytes(), source)
-        return ["255 in masks says nothing (ignore), and stays"] * self.has_255
+    def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
+        """CVAT's table of colours and classes."""
+        sources = [folder / "labelmap.txt" for folder in (self.path.parent, self.path)]
+        lists = {source.name: source.read_bytes() for source in sources if source.is_file()}
+        return lists, ["255 in masks says nothing (ignore), and stays"] * self.has_255
 
 
 def _counts(values: Collection[int]) -> bool:

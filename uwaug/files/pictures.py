@@ -195,7 +195,6 @@ def _to_srgb(profile: bytes) -> ImageCms.ImageCmsTransform | None:
 
 
 def _in_srgb(values: NDArray[Any], profile: bytes) -> NDArray[Any]:
-    """Colours (HxWx3) of a profile in sRGB."""
     transform, values = _to_srgb(profile), np.ascontiguousarray(values)
     assert transform is not None
     if values.dtype == np.uint8:
@@ -221,7 +220,6 @@ def holds_picture(path: Path) -> bool:
 
 
 def _upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """The picture (HxW or HxWxC) turned upright."""
     mirrored = values[:, ::-1] if orientation in (2, 4, 5, 7) else values
     quarters = {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}.get(orientation, 0)
     return np.rot90(mirrored, quarters)

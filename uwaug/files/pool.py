@@ -79,7 +79,6 @@ def _pool(work: Any, workers: int) -> ProcessPoolExecutor:
 
 
 def _begin(work: Any) -> None:
-    """Prepare a process of a pool."""
     global _work  # noqa: PLW0603  (it is of the process)
     _work = work
     torch.set_num_threads(1)

@@ -134,7 +134,6 @@ def _require_range(z: Tensor) -> None:
 
 
 def _doubts(recipe: Recipe, samples: Sequence[_Sample]) -> list[str]:
-    """Sentences on maps that may be of another kind or unit."""
     pairs = [(s.z, s.image) for s in samples if s.z is not None]
     maps, images = [z for z, _ in pairs], [image for _, image in pairs]
     if isinstance(recipe.transform.distance, Metres):

@@ -1,6 +1,5 @@
 """The record beside each result of a run: its sources, and all its random numbers."""
 
-import csv
 import hashlib
 import json
 from pathlib import Path
@@ -10,12 +9,6 @@ from uwaug._support.atomic import require_regular, written_whole
 
 # of every record
 _KEYS = ("uwaug", "torch", "numba", "name", "variant", "picture", "distance")
-
-COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
-"""Columns of the index of a run."""
-
-SHEET_COMMENT = b"drawn by uwaug"
-"""JPEG comment of the sheet of a run."""
 
 
 def record_path(result: Path) -> Path:
@@ -37,6 +30,7 @@ def read_record(path: Path) -> dict[str, Any]:
         ValueError: if the file is no record; the error names it.
         OSError: if it cannot be read.
     """
+    require_regular(path)
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
@@ -44,26 +38,6 @@ def read_record(path: Path) -> dict[str, Any]:
     if not isinstance(record, dict) or not set(_KEYS) <= record.keys():
         raise ValueError(f"{path}: is no record of a picture that uwaug has written")
     return record
-
-
-def places_of(folder: Path) -> list[str] | None:
-    """Outputs in the index of a run in a folder; None without an index."""
-    try:
-        with (folder / "index.csv").open(encoding="utf-8", errors="replace", newline="") as file:
-            rows = csv.DictReader(file)
-            is_index = rows.fieldnames == list(COLUMNS)
-            return [row["output"] for row in rows] if is_index else None
-    except OSError:
-        return None
-
-
-def is_written(result: Path) -> bool:
-    """True if a run has written a file: a record lies beside it, or a sheet says so."""
-    if result.name == "sheet.jpg" and result.is_file():
-        with result.open("rb") as file:
-            if SHEET_COMMENT in file.read(256):
-                return True
-    return record_of(result) is not None
 
 
 def record_of(result: Path) -> dict[str, Any] | None:

@@ -2,8 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,28 +15,18 @@ from uwaug._support.atomic import remove_left
 from uwaug._support.compiled import wanted
 from uwaug.fast import load
 from uwaug.files.films import Frame
+from uwaug.files.folder import NOT_OURS, RunFolder, held
 from uwaug.files.items import Item
 from uwaug.files.labels import Judged, Labels
 from uwaug.files.pictures import read_picture
 from uwaug.files.pool import on_processes
-from uwaug.files.record import (
-    digest,
-    is_written,
-    places_of,
-    reason_of,
-    record_of,
-    record_path,
-    write_record,
-)
-from uwaug.files.sheet import write_sheet
+from uwaug.files.record import digest, reason_of, record_of, record_path, write_record
+from uwaug.files.sheet import drawn_sheet
 from uwaug.files.summary import Result, Summary
 from uwaug.transforms.random_water import Reached
 
 Progress = Callable[[int, int], None]
 """Function of the numbers of finished and of all pictures, called first and after each picture."""
-
-_FORCE = "force=True (--force) writes over it"
-_OWN = "was not written by a run: move it, or choose another folder"
 
 
 class Job(NamedTuple):
@@ -56,17 +45,17 @@ class Work:
 
     Args:
         out: folder of the run.
-        resume: keep results of the same sources, and refuse to write over others.
-        force: write over them. Files that no run has written stay in any case.
+        made_with: what all results follow from, as records and the manifest have it.
     """
 
-    def __init__(self, out: Path, *, resume: bool, force: bool) -> None:
-        self.out, self.resume, self.force = out, resume, force
+    def __init__(self, out: Path, made_with: Mapping[str, Any]) -> None:
+        self.out, self.made_with = out, made_with
 
     def made_of(self, job: Job) -> dict[str, Any]:
         """Sources of a result, as its record has them."""
         return {
             **versions(),
+            **self.made_with,
             "name": job.item.name,
             "variant": job.variant,
             "picture": _source(job.item.picture),
@@ -87,12 +76,6 @@ class Work:
             return []
         return job.labels.files(job.place, self.out)
 
-    def vouched(self, job: Job, record: dict[str, Any]) -> list[Path]:
-        """Files beside a result of which its record says that a run has written them."""
-        if job.labels is None or record.get("labels") is None:
-            return []
-        return job.labels.files(job.place, self.out)
-
     def read(self, path: Path) -> Tensor:
         """Read a result as a picture (3xHxW), for the sheet."""
         return read_picture(path)
@@ -109,36 +92,28 @@ class Work:
                 warnings.simplefilter("ignore")
                 return self._done(job)
         except Exception as error:  # decoders raise whatever they like over a damaged file
-            return self._failed(job, reason_of(error))
+            return _failed(job, reason_of(error))
 
     def died(self, job: Job) -> Result:
         """The result of a job that a process has died over."""
-        return self._failed(job, "the process died over it: out of memory, or a damaged file")
-
-    def _failed(self, job: Job, reason: str) -> Result:
-        path = self.out / job.place
-        if self.force and (record := record_of(path)):  # old files would pass for the result
-            for file in (*self.vouched(job, record), path, record_path(path)):
-                with suppress(OSError):
-                    file.unlink(missing_ok=True)
-        return Result(job.item, job.variant, job.place, "failed", reason=reason)
+        return _failed(job, "the process died over it: out of memory, or a damaged file")
 
     def _done(self, job: Job) -> Result:
         path, sources = self.out / job.place, self.made_of(job)
-        before = self._before(job)
-        if self.resume and before and path.exists():
-            changes = [name for name, value in sources.items() if before.get(name) != value]
-            if not changes and all(map(Path.exists, self.vouched(job, before))):
-                return _of_record(job, "skipped", before)
-            if changes and not self.force:
-                got = f"{path} was made with another {' and '.join(changes)}"
-                raise FileExistsError(f"{got}: choose another folder, or {_FORCE}")
+        files = [path, *self.files(job)]
+        before = record_of(path) or {}
+        is_same = all(before.get(name) == value for name, value in sources.items())
+        if is_same and all(map(Path.exists, files)):
+            return _of_record(job, "skipped", before)
+        if not record_path(path).exists():  # which goes first
+            for file in filter(os.path.lexists, files):
+                raise FileExistsError(f"{file} {NOT_OURS}")
         result, entries = self.make(job)
         record = {**sources, **entries}
-        # the result goes first and comes last: its labels are there wherever it is, and its record
-        # says of both that they are a run's
+        # the result comes last: its labels are there wherever it is, and its record says of both
+        # that they are a run's
         path.parent.mkdir(parents=True, exist_ok=True)
-        for file in (path, *self.vouched(job, before)):
+        for file in files:
             file.unlink(missing_ok=True)
         write_record(record_path(path), record)
         if job.labels is not None:
@@ -147,18 +122,9 @@ class Work:
         self.write(path, result, job.item)
         return _of_record(job, "written", record)
 
-    def _before(self, job: Job) -> dict[str, Any]:
-        """Record of the result that a run has written before, empty without one. Refuses files that
-        no run has written.
-        """
-        path = self.out / job.place
-        record = record_of(path) or {}
-        files = [] if record else [path, record_path(path)]
-        vouched = self.vouched(job, record)
-        files += [file for file in self.files(job) if file not in vouched]
-        for file in filter(os.path.lexists, files):
-            raise FileExistsError(f"{file} {_OWN}")
-        return record
+
+def _failed(job: Job, reason: str) -> Result:
+    return Result(job.item, job.variant, job.place, "failed", reason=reason)
 
 
 def versions() -> dict[str, str]:
@@ -184,97 +150,69 @@ def run(
     work: Work,
     jobs: Sequence[Job],
     *,
+    labels: Labels | None = None,
     workers: int = 1,
+    resume: bool = False,
+    force: bool = False,
     ray: str | None = None,
-    index: bool = True,
     sheet: bool = False,
     beside: Sequence[Path] = (),
     progress: Progress | None = None,
 ) -> Summary:
-    """Do the work on each job.
+    """Do the work on each job, in a folder that is the run's own.
 
     Args:
         work, jobs: the work, and the pictures.
-        workers, ray, sheet, beside, progress: as for `degrade`.
-        index: write index.csv.
+        labels: labels of all pictures.
+        workers, resume, force, ray, sheet, beside, progress: as for `degrade`.
     """
-    require_apart(work, jobs, sheet=sheet)
-    notes = []
-    if index:
-        if stale := _require_folder_of_run(jobs, work.out, sheet=sheet):
-            got = f"{len(stale)} pictures of an earlier run, such as {stale[0]}, stay in {work.out}"
-            notes.append(f"{got}, and are not in its index.csv any more")
-        for folder in {(work.out / job.place).parent for job in jobs}:
-            remove_left(folder)  # parts of files of a killed run
-    work.out.mkdir(parents=True, exist_ok=True)
+    out, inputs = work.out, require_apart(work, jobs, labels, sheet=sheet)
     workers = max(1, min(workers or os.cpu_count() or 1, len(jobs)))
-    if ray is None:
-        stream = on_processes(work, jobs, workers)
-    else:
-        from uwaug.files.ray import on_ray
+    files: list[str] = []
+    for job in jobs:
+        path = out / job.place
+        files += [file.relative_to(out).as_posix() for file in (path, record_path(path))]
+        files += [file.relative_to(out).as_posix() for file in work.files(job)]
+    with held(out) as say_alive:
+        folder = RunFolder(out, work.made_with, files, inputs, resume=resume, force=force)
+        for parent in {out, *((out / file).parent for file in files)}:
+            remove_left(parent)  # parts of files of a killed run
+        if ray is None:
+            stream = on_processes(work, jobs, workers)
+        else:
+            from uwaug.files.ray import on_ray
 
-        stream = on_ray(work, jobs, ray, workers)
-    results: list[Result] = []
-    say = progress or (lambda count, total: None)
-    say(0, len(jobs))
-    for result in stream:
-        results.append(result)
-        say(len(results), len(jobs))
-    summary = Summary(results, notes)
-    if index:
-        summary.write_index(work.out / "index.csv")
-    variants: dict[Path, list[Path]] = {}
-    for result in results:
-        if result.status != "failed":
-            variants.setdefault(result.item.picture, []).append(work.out / result.place)
-    if sheet and variants:
-        groups = list(variants.items())
-        write_sheet(work.out / "sheet.jpg", groups, work.read, work.caption, beside)
-    return summary
+            stream = on_ray(work, jobs, ray, workers)
+        results: list[Result] = []
+        say = progress or (lambda count, total: None)
+        say(0, len(jobs))
+        for result in stream:
+            results.append(result)
+            say_alive()
+            say(len(results), len(jobs))
+        made = [result for result in results if result.status != "failed"]
+        # without results, those of before keep their lists
+        lists, notes = labels.lists(made) if labels is not None and made else ({}, [])
+        lists = {"index.csv": Summary(results).index(), **lists}
+        variants: dict[Path, list[Path]] = {}
+        for result in made:
+            variants.setdefault(result.item.picture, []).append(out / result.place)
+        if sheet and variants:
+            groups = [*variants.items()]
+            lists["sheet.jpg"] = drawn_sheet(groups, work.read, work.caption, beside)
+        notes = [*notes, *folder.write_lists(lists)]
+    return Summary(results, notes)
 
 
-def require_free(out: Path, *, resume: bool, force: bool) -> None:
-    """Refuse an existing file, or a folder that is not empty, without `resume` or `force`."""
-    if resume or force:
-        return
-    cure = f"resume=True (--resume) goes on, or {_FORCE}"
-    if out.is_file():
-        raise FileExistsError(f"{out} exists: {cure}")
-    of_run = set() if places_of(out) is None else {"index.csv"}
-    if out.is_dir() and set(os.listdir(out)) - of_run:
-        raise FileExistsError(f"{out} is not empty: choose another folder; {cure}")
-
-
-def _require_folder_of_run(jobs: Sequence[Job], out: Path, *, sheet: bool) -> list[str]:
-    """Refuse files that no run has written where those of all pictures go, the folder of a run of
-    other pictures, whose labels would be lost, and one with labels where there shall be none.
-    Returns the pictures of an earlier run that this one does not make.
+def require_apart(
+    work: Work, jobs: Sequence[Job], labels: Labels | None = None, *, sheet: bool = False
+) -> set[str]:
+    """Refuse two results in one file, and to write over a file that is read. Gives the real paths
+    of all files that are read.
     """
-    labels = next((job.labels for job in jobs if job.labels is not None), None)
-    places = places_of(out)
-    records = (record_of(out / place) or {} for place in places or ())
-    names = ["index.csv"] if places is None else []
-    names += ["sheet.jpg"] if sheet and not is_written(out / "sheet.jpg") else []
-    others = {*(places or ())} - {job.place for job in jobs}
-    stale = sorted(place for place in others if (out / place).exists())
-    if labels is not None:
-        if stale:
-            got = f"{out} holds {len(stale)} pictures that this run does not make"
-            cure = "remove them, or choose another folder"
-            raise FileExistsError(f"{got}, such as {stale[0]}: {cure}")
-        if not any("labels" in record for record in records):
-            names += labels.shared
-    elif any(record.get("labels") for record in records):
-        cure = "give --labels, or choose another folder"
-        raise FileExistsError(f"{out} holds labels of an earlier run, which would stay: {cure}")
-    for file in (file for name in names for file in out.glob(name)):
-        raise FileExistsError(f"{file} {_OWN}")
-    return stale
-
-
-def require_apart(work: Work, jobs: Sequence[Job], *, sheet: bool = False) -> None:
-    """Refuse two results in one file, and to write over a file that is read."""
     read = [file for job in jobs for file in (job.item.picture, job.item.distance)]
+    if labels is not None:
+        read += [labels.path, *(entry for entry in labels.of.values() if isinstance(entry, Path))]
     inputs = {os.path.realpath(file) for file in read if file is not None}
     outputs = {os.path.realpath(work.out / "sheet.jpg"): Path("--sheet")} if sheet else {}
     for job in jobs:
@@ -286,3 +224,4 @@ def require_apart(work: Work, jobs: Sequence[Job], *, sheet: bool = False) -> No
                 pair = f"{outputs[output]} and {job.item.picture}"
                 raise ValueError(f"{pair} would both be written to {output}: rename one")
             outputs[output] = job.item.picture
+    return inputs

@@ -1,5 +1,6 @@
 """A sheet of pictures before and after a run."""
 
+import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -8,9 +9,7 @@ import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from uwaug._support.atomic import written_whole
 from uwaug.files.pictures import read_picture
-from uwaug.files.record import SHEET_COMMENT
 
 _MAX_PICTURES, _MAX_VARIANTS = 12, 5  # pictures, spread over a run, and variants of each
 _MAX_COLUMNS = 6  # pictures side by side, before and after
@@ -18,18 +17,16 @@ _WIDTH_PX, _HEIGHT_PX = 240, 180  # of a picture
 _LINE_PX, _GAP_PX = 16, 4  # height of a line of text, and the gap between two labels
 
 
-def write_sheet(
-    path: Path,
+def drawn_sheet(
     variants: Sequence[tuple[Path, Sequence[Path]]],
     read: Callable[[Path], Tensor],
     caption: Callable[[Path], str],
     beside: Sequence[Path] = (),
-) -> None:
-    """Draw pictures, each with its variants to the right, and names and captions below; then
-    photographs for comparison.
+) -> bytes:
+    """A JPEG of pictures, each with its variants to the right, and names and captions below; then
+    of photographs for comparison.
 
     Args:
-        path: file of the sheet.
         variants: the file of each picture, with the files of its variants.
         read: function that gives the picture (3xHxW) of a variant's file.
         caption: function that gives its caption, two lines at most.
@@ -57,12 +54,12 @@ def write_sheet(
             sheet.paste(_small(picture), (x, y))
             sheet.paste(_label(file.name, words), (x, y + _HEIGHT_PX))
             x += _WIDTH_PX
-    with written_whole(path) as part:
-        sheet.save(part, "JPEG", quality=90, comment=SHEET_COMMENT)
+    jpeg = io.BytesIO()
+    sheet.save(jpeg, "JPEG", quality=90)
+    return jpeg.getvalue()
 
 
 def _label(*lines: str) -> Image.Image:
-    """Lines of text, cut off where the next picture begins."""
     label = Image.new("RGB", (_WIDTH_PX - _GAP_PX, 3 * _LINE_PX), "white")
     text = "\n".join(lines).encode("ascii", "replace").decode()
     ImageDraw.Draw(label).multiline_text((0, 0), text, "black")
@@ -70,7 +67,6 @@ def _label(*lines: str) -> Image.Image:
 
 
 def _small(picture: Tensor) -> Image.Image:
-    """A thumbnail of a picture (3xHxW)."""
     if picture.dtype != torch.uint8:
         picture = (picture.clamp(0, 1) * 255).to(torch.uint8)
     small = Image.fromarray(np.ascontiguousarray(picture.permute(1, 2, 0).numpy()))

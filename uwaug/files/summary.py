@@ -1,17 +1,17 @@
 """Results of runs."""
 
 import csv
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
-from uwaug._support.atomic import written_whole
 from uwaug.files.items import Item
 from uwaug.files.labels import Judged
-from uwaug.files.record import COLUMNS
 from uwaug.formation.contrast import FAINT
 from uwaug.transforms.random_water import Reached
+
+_COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
 
 ASKED = {
     "turned": "are upright by EXIF alone: maps and labels are taken as upright, too. Are they?",
@@ -102,13 +102,13 @@ class Summary:
         kept = [judged.kept for result in self.results for judged in result.objects]
         return len(kept), sum(kept)
 
-    def write_index(self, path: Path) -> None:
-        """Write a line for each picture."""
-        how: Any = {"encoding": "utf-8", "errors": "backslashreplace", "newline": ""}
-        with written_whole(path) as part, part.open("w", **how) as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            for result in self.results:
-                item = result.item
-                files = [item.name, result.variant, item.picture, item.distance, result.place]
-                writer.writerow([*files, result.contrast, result.status, result.reason])
+    def index(self) -> bytes:
+        """A table of CSV with a line for each picture."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        for result in self.results:
+            item = result.item
+            files = [item.name, result.variant, item.picture, item.distance, result.place]
+            writer.writerow([*files, result.contrast, result.status, result.reason])
+        return text.getvalue().encode(errors="backslashreplace")

@@ -1,5 +1,6 @@
 """Pictures in files under water."""
 
+import os
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -15,13 +16,14 @@ from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Inverse, Relative
 from uwaug.distance.unknown import of_shares
 from uwaug.files.films import Films, frames_of
+from uwaug.files.folder import NOT_OURS, require_same
 from uwaug.files.formats import open_labels
 from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
 from uwaug.files.pictures import ENDINGS, Picture, write_picture
 from uwaug.files.recipe import Recipe
-from uwaug.files.record import digest, read_record, record_path
-from uwaug.files.run import Job, Progress, Work, require_apart, require_free, run, versions
+from uwaug.files.record import digest, read_record, record_of, record_path
+from uwaug.files.run import Job, Progress, Work, require_apart, run, versions
 from uwaug.files.summary import Summary
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.truth import MAPS, Truth
@@ -54,8 +56,8 @@ def degrade(
         items: pictures, see `find_items`.
         out: folder to write to, made if need be; or, for one picture, the file to write.
         workers: number of processes; 1: this one, 0: one for each core.
-        resume: go on after a stop; results of the same recipe and files are kept.
-        force: write over existing files.
+        resume: go on after a stop, with the same recipe; what was made of the same files is kept.
+        force: remove first what an earlier run has written to `out`.
         sheet: draw some of the results on sheet.jpg.
         beside: real photographs to draw there, below them.
         ray: address of a Ray cluster in place of processes: "local", "auto", or host:port. All its
@@ -66,41 +68,58 @@ def degrade(
     Raises:
         ValueError: if an option does not suit, labels belong to none of the pictures, two pictures
             would be one file, or a file would be written over that is read.
-        FileExistsError: if there is something in `out`, without `resume` and `force`.
+        FileExistsError: if `out` holds anything but a run to `resume` or to redo by `force`, or
+            another run is at work there.
         OSError: if `out` cannot be written.
     """
     out, labels = Path(out), None
     single = out.suffix.lower() in ENDINGS and not out.is_dir()
     if cure_of(out.suffix) and not out.is_dir():
         raise ValueError(f"{out}: pictures are written as {', '.join(ENDINGS)}")
-    if single and (len(items) * recipe.variants != 1 or recipe.labels is not None or sheet):
-        cure = "more pictures, labels and sheets need a folder"
+    if single and (len(items) * recipe.variants != 1 or recipe.labels or recipe.maps or sheet):
+        cure = "more pictures, labels, maps and sheets need a folder"
         raise ValueError(f"{out} is a file, which is for one picture: {cure}")
-    require_free(out, resume=resume, force=force)
     if recipe.labels is not None:
         labels = open_labels(recipe.labels, items)
         masks = {entry for entry in labels.of.values() if isinstance(entry, Path)}
         items = [item for item in items if item.picture not in masks]
     _require_distances(recipe, items)
-    folder = out.parent if single else out
-    work = _Underwater(recipe, folder, resume=resume, force=force)
-    jobs = [Job(items[0], out.name)] if single else list(_jobs(recipe, items, labels))
+    if single:
+        return _one(_Underwater(recipe, out.parent), Job(items[0], out.name), resume, force)
     summary = run(
-        work,
-        jobs,
+        _Underwater(recipe, out),
+        list(_jobs(recipe, items, labels)),
+        labels=labels,
         workers=workers,
+        resume=resume,
+        force=force,
         ray=ray,
-        index=not single,
         sheet=sheet,
         beside=beside,
         progress=progress,
     )
-    if labels is not None:
-        results = [result for result in summary.results if result.status != "failed"]
-        # without results, those of an earlier run keep their lists
-        notes = labels.finish(results, out, force=force) if results else []
-        summary = replace(summary, notes=[*summary.notes, _labels_note(labels, items), *notes])
-    return summary
+    if labels is None:
+        return summary
+    return replace(summary, notes=[_labels_note(labels, items), *summary.notes])
+
+
+def _one(work: Work, job: Job, resume: bool, force: bool) -> Summary:
+    """A picture into a file, which may be that of an earlier run."""
+    require_apart(work, [job])
+    path = work.out / job.place
+    if os.path.lexists(path):
+        before = record_of(path)
+        if before is None:
+            raise FileExistsError(f"{path} {NOT_OURS}")
+        if force:
+            path.unlink()
+        elif resume:
+            require_same(path, before, work.made_with)
+        else:
+            cure = "resume=True (--resume) keeps it, force=True (--force) writes over it"
+            raise FileExistsError(f"{path} exists: {cure}")
+    with one_thread():
+        return Summary([work(job)])
 
 
 def replay(
@@ -150,7 +169,7 @@ def replay(
         if digest(Path(file)) != before:
             raise ValueError(f"{file} is gone, or has changed since {record} was written")
     item = Item(entries["name"], *files)
-    require_apart(Work(output.parent, resume=False, force=force), [Job(item, output.name)])
+    require_apart(Work(output.parent, {}), [Job(item, output.name)])
     with one_thread():
         (image, *_), z = recipe.read(item)
         degraded = recipe.transform_of(item.picture).transform(image, z, entries["params"])
@@ -168,18 +187,15 @@ def _labels_note(labels: Labels, items: Sequence[Item]) -> str:
 
 
 class _Underwater(Work):
-    """Pictures under water, by a recipe."""
-
-    def __init__(self, recipe: Recipe, out: Path, *, resume: bool, force: bool) -> None:
-        super().__init__(out, resume=resume, force=force)
-        self.recipe, self._plain = recipe, codec.to_plain(recipe)
-        self._files = {str(file): digest(file) for file in _files_of(self._plain["transform"])}
-        self._films = Films(recipe)
+    def __init__(self, recipe: Recipe, out: Path) -> None:
+        plain = codec.to_plain(recipe)
+        files = {str(file): digest(file) for file in _files_of(plain["transform"])}
+        super().__init__(out, {"recipe": plain, "options_file": files})
+        self.recipe, self._films = recipe, Films(recipe)
 
     def made_of(self, job: Job) -> dict[str, Any]:
         space = self.recipe.transform_of(job.item.picture).development.color_space
-        sources = {**super().made_of(job), "recipe": self._plain, "color_space": space}
-        sources["options_file"] = self._files
+        sources = {**super().made_of(job), "color_space": space}
         if job.labels is not None:
             sources["labels"] = job.labels.digest(job.item.name)
         if job.frame is not None:
@@ -219,23 +235,17 @@ class _Underwater(Work):
         degraded, truth = result
         if truth is not None:
             place = path.relative_to(self.out).as_posix()
-            for name, file in zip(MAPS, self._maps(place, self.recipe.maps), strict=True):
+            for name, file in zip(MAPS, self._maps(place), strict=True):
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_picture(file, getattr(truth, name).float(), color_space="linear")
         self.recipe.write(path, degraded, item.picture)
 
     def files(self, job: Job) -> list[Path]:
-        maps = [] if self.recipe.maps is None else self._maps(job.place, self.recipe.maps)
-        return [*super().files(job), *maps]
+        return [*super().files(job), *([] if self.recipe.maps is None else self._maps(job.place))]
 
-    def vouched(self, job: Job, record: dict[str, Any]) -> list[Path]:
-        maps = self._maps(job.place, record["recipe"]["maps"]) if record.get("truth") else []
-        return [*super().vouched(job, record), *maps]
-
-    def _maps(self, place: str, end: str | None) -> list[Path]:
-        """Files of the maps of a result."""
+    def _maps(self, place: str) -> list[Path]:
         stem = (self.out / "maps" / place).with_suffix("")
-        return [stem.with_name(f"{stem.name}_{name}.{end}") for name in MAPS]
+        return [stem.with_name(f"{stem.name}_{name}.{self.recipe.maps}") for name in MAPS]
 
     def caption(self, path: Path) -> str:
         """Median distance and mean contrast of a picture; its water."""
@@ -250,7 +260,6 @@ class _Underwater(Work):
 
 
 def _files_of(value: Any) -> Iterator[Path]:
-    """Files that options name, such as those of waters and cameras."""
     if isinstance(value, (dict, list, tuple)):
         for part in value.values() if isinstance(value, dict) else value:
             yield from _files_of(part)
@@ -298,7 +307,6 @@ def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
 
 
 def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:
-    """A job for each variant of each picture."""
     frames = frames_of(items, recipe.rig) if recipe.sequence else {}
     for item in items:
         place = item.name if labels is None else labels.place(item.name)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from uwaug.files.labels import Folder, Key, require_size, write_labels
+from uwaug.files.labels import Folder, Key, require_size
 from uwaug.files.paths import split_of
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ class Voc(Folder):
     end = ".xml"
     folders = ("Annotations", "annotations")
     pictures = "JPEGImages"
-    shared = (f"**/{_LISTS}/*.txt",)
 
     @staticmethod
     def require(file: Path) -> None:
@@ -57,9 +56,9 @@ class Voc(Folder):
                 entry.text = place.rpartition("/")[2]
         return ElementTree.tostring(root, encoding="unicode").encode()
 
-    def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
-        """Write the lists that lie above the labels, else one for each split. In the list of a
-        class, pictures that have lost all its objects have none.
+    def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
+        """The lists that lie above the labels, else one for each split. In the list of a class,
+        pictures that have lost all its objects have none.
         """
         trees: dict[str, dict[str, list[str]]] = {}
         lost: set[tuple[str, str]] = set()
@@ -72,7 +71,7 @@ class Voc(Folder):
                 kept = [entries[int(j.key) - 1].findtext("name") for j in picture.objects if j.kept]
                 names = {entry.findtext("name", "") for entry in entries}
                 lost |= {(place, class_name) for class_name in names.difference(kept)}
-        notes = []
+        contents, notes = {}, []
         for tree, places in trees.items():
             folders = (folder / tree / _LISTS for folder in (self.path, self.path.parent))
             files = [file for folder in folders for file in sorted(folder.glob("*.txt"))]
@@ -91,9 +90,8 @@ class Voc(Folder):
                 )
                 if not text:
                     notes.append(f"no picture is in the list {list_name}")
-                source = files[0].with_name(list_name) if files else None
-                write_labels(out / tree / _LISTS / list_name, text.encode(), source)
-        return notes
+                contents["/".join(filter(None, (tree, _LISTS, list_name)))] = text.encode()
+        return contents, notes
 
 
 def _parted(line: str, names: Collection[str]) -> tuple[str, str]:

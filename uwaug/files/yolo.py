@@ -6,8 +6,8 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from uwaug.files.labels import Entry, Folder, Key, Labels, write_labels
-from uwaug.files.paths import PICTURES, below, matched, parts_of, split_of
+from uwaug.files.labels import Entry, Folder, Key, Labels
+from uwaug.files.paths import PICTURES, Files, matched, normal, parts_of, split_of
 
 if TYPE_CHECKING:
     from uwaug.files.items import Item
@@ -30,7 +30,7 @@ class Yolo(Folder):
 
     Attributes:
         description: content of the data.yaml.
-        told: sentences on where classes are from, if that may be wrong.
+        told: sentences on where classes are from.
         splits: splits of each picture that the description names for it.
     """
 
@@ -40,7 +40,6 @@ class Yolo(Folder):
 
     reads = "a folder of YOLO's .txt"
     end = ".txt"
-    shared = ("data.yaml", "train.txt", "val.txt", "test.txt")
 
     @classmethod
     def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
@@ -72,28 +71,14 @@ class Yolo(Folder):
             if len(contents) > 1:
                 raise ValueError(f"{folder}: more than one .yaml has names: call one data.yaml")
             for file, content in contents.items():
-                source = file if "names" in content else source
-                described = replace(self, description=classes | content)
-                return described._with_told(source, lists, is_own=file == own)
+                classes, source = classes | content, file if "names" in content else source
+                return replace(self, description=classes, told=_told(source, classes, lists))
         counts = {len(numbers) for file in samples if (numbers := _first(file))}
         if len(counts) == 1 and min(counts) > 6:
             got = f"{samples[0]}: objects of {min(counts)} numbers are polygons, or have keypoints"
             cure = "say kpt_shape: [how many, 2 or 3], or of polygons nothing but names"
             raise ValueError(f"{got}: {cure}, in {self.path / 'data.yaml'}")
-        return replace(self, description=classes)._with_told(source, lists, is_own=True)
-
-    def _with_told(
-        self, source: Path | None, lists: Mapping[Path, list[str]], *, is_own: bool
-    ) -> Self:
-        """The labels with a sentence on where classes are from, if they may be from elsewhere."""
-        names = self.description.get("names", [])
-        names = [*names.values()] if isinstance(names, dict) else names
-        others = [str(file) for file, own in lists.items() if own != names]
-        is_far = source is not None and source.parent == self.path.parent.parent
-        if not others and is_own and not is_far:
-            return self
-        rest = f", not of {others[0]}" if others else ""
-        return replace(self, told=[f"classes are those of {source}{rest}"])
+        return replace(self, description=classes, told=_told(source, classes, lists))
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         from uwaug.files.pixels import of_box, of_polygons
@@ -144,7 +129,7 @@ class Yolo(Folder):
         lines, folders = [], []
         for place in map(str, [stated] if isinstance(stated, str) else stated):
             above = (self.path, self.path.parent, self.path.parent.parent)
-            files = filter(None, (below(folder, place) for folder in above))
+            files = filter(None, (Files().below(folder, place) for folder in above))
             if place.endswith(".txt"):
                 lines += next((_lines(file) for file in files), [place])
             else:
@@ -158,10 +143,10 @@ class Yolo(Folder):
         places = {split: self._places(split) for split in ("train", "val", "test")}
         pairs = [(split, line) for split, (lines, _) in places.items() for line in lines]
         numbers = matched([line for _, line in pairs], [item.picture for item in items])
-        paths = {item.name: f"{item.picture.absolute().as_posix()}/" for item in items}
+        paths = {item.name: f"{normal(item.picture.absolute().as_posix())}/" for item in items}
         text, ends = "\n".join(paths.values()), []
         for split, (_, folders) in places.items():
-            for parts in map(parts_of, folders):
+            for parts in (parts_of(normal(folder)) for folder in folders):
                 wholes = [
                     parts[i:] for i in range(len(parts)) if not i or {*parts[i:]} - {*PICTURES}
                 ]
@@ -182,9 +167,9 @@ class Yolo(Folder):
     def only(self, name: str) -> Self:
         return replace(super().only(name), splits={})
 
-    def finish(self, pictures: Sequence["Result"], out: Path, force: bool = False) -> list[str]:
-        """Write data.yaml, with the classes of the labels or their number, and a list of pictures
-        for each split, as the folder of one split may hold another.
+    def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
+        """data.yaml, with the classes of the labels or their number, and a list of pictures for
+        each split, as the folder of one split may hold another.
         """
         import yaml
 
@@ -206,8 +191,6 @@ class Yolo(Folder):
             splits[split] = splits["train"] if split == "val" else ""  # trainers insist on it
             content = "those of train" if splits[split] else "nothing"
             notes.append(f"no picture is of the split {split}: {split}.txt lists {content}")
-        for split, text in splits.items():
-            write_labels(out / f"{split}.txt", text.encode())
         classes = {key: x for key, x in self.description.items() if key not in _PLACE_KEYS}
         if not {"names", "nc"} & classes.keys():
             names = {picture.item.name for picture in pictures} & self.of.keys()
@@ -216,12 +199,17 @@ class Yolo(Folder):
             looked = f"data.yaml, {', '.join(_CLASS_FILES)}"
             notes.append(f"no names of classes were found ({looked}): nc: {classes['nc']}, counted")
         entries = {split: f"{split}.txt" for split in splits} | classes
+        lists = {f"{split}.txt": text.encode() for split, text in splits.items()}
         text = yaml.safe_dump(entries, sort_keys=False, allow_unicode=True)
-        file = out / "data.yaml"
-        if file.exists() and file.read_bytes() != text.encode() and not force:
-            return [*notes, f"{file} stays, with other content: force=True (--force) replaces it"]
-        write_labels(file, text.encode())
-        return notes
+        return {**lists, "data.yaml": text.encode()}, notes
+
+
+def _told(source: Path | None, classes: Entry, lists: Mapping[Path, list[str]]) -> list[str]:
+    """A sentence on where classes are from, and on a list that names others."""
+    names = classes.get("names", [])
+    names = [*names.values()] if isinstance(names, dict) else names
+    rest = "".join([f", not of {file}" for file, own in lists.items() if own != names][:1])
+    return [f"classes are those of {source}{rest}"] if source else []
 
 
 def _first(file: Path) -> list[float]:
@@ -237,7 +225,7 @@ def _read(file: Path) -> Entry:
     try:
         content = yaml.safe_load(file.read_bytes()) or {}
         if not isinstance(content, dict):
-            raise ValueError(f"expected names and values, got {content!r:.80}")
+            raise ValueError(f"expected names and values, got a {type(content).__name__}")
     except (yaml.YAMLError, ValueError) as error:
         if file.name != "data.yaml":
             return {}

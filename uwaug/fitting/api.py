@@ -124,13 +124,13 @@ def fit(
             solution = multistart(objective, [winner.numbers], seed)
             candidates.append(cross_validated(objective, solution, seed))
             winner = one_standard_error_rule([winner, candidates[-1]])
-        encoded_notes = []
+        first = _model_notes(winner, candidates)
         if color_space == "srgb":
             say("trying encoded values")
-            encoded_notes = encoded_haze_notes(winner, gain == "free", seed)
-        medium = winner.model.medium(winner.model.coefficients(winner.solution.theta))
-        result = result_of(winner, candidates, winner.model.spec.name, medium, pictures)
-    first = (*_model_notes(winner, candidates), *encoded_notes)
+            first += encoded_haze_notes(winner, gain == "free", seed)
+        best = winner.model
+        medium = best.medium(best.coefficients(winner.solution.theta))
+        result = result_of(winner, candidates, best.spec.name, medium, pictures)
     return replace(result, notes=(*first, *result.notes, *_doubts(winner, result.parameters)))
 
 
@@ -155,12 +155,10 @@ def _models(
     """The models of a name, or all for "auto", that have a place for every fixed number."""
     if not isinstance(fixed, Mapping):
         raise TypeError(f"fixed must be a dict of numbers, got {type(fixed).__name__}")
-    candidates = [
-        CoefficientModel(spec, geometry, gain, {})
-        for spec in MODELS.values()
-        if name == spec.name
-        or (name == "auto" and (spec.shape is None or geometry.widest > NARROW_PX))
-    ]
+    specs = [MODELS[name]] if name in MODELS else list(MODELS.values())
+    if name == "auto" and geometry.widest <= NARROW_PX:
+        specs = [spec for spec in specs if spec.shape is None]
+    candidates = [CoefficientModel(spec, geometry, gain, {}) for spec in specs]
     models = [x for x in candidates if set(fixed) <= set(x.fixable)]
     if not models:
         names = ", ".join(candidates[-1].fixable)
@@ -184,13 +182,11 @@ def _model_notes(
     winner: FittedModel[CoefficientModel], candidates: Sequence[FittedModel[CoefficientModel]]
 ) -> list[str]:
     """Sentences on the model that was chosen, and on how well it explains the pictures."""
-    best, reason = best_of(candidates), ""
-    if len(candidates) > 1:
+    best, reason, warning = best_of(candidates), "", ""
+    if best is not winner:
+        reason = f" The fewest numbers within one standard error of the best, {best.model.name!r}."
+    elif len(candidates) > 1:
         reason = " It foretells left-out pixels best."
-        if best is not winner:
-            name = best.model.name
-            reason = f" The fewest numbers within one standard error of the best, {name!r}."
-    warning = ""
     if winner.explained < _POOR_SHARE:
         warning = " That is little: are the pictures aligned, of one scene, and in metres?"
     return [
@@ -207,8 +203,7 @@ def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
     if model.spec.shape is None:
         sentences.append(
             "Without a blur, direct light and light that is scattered forward are one: beta is the "
-            "attenuation of both together, and G at least; that of the direct light alone, β of "
-            "the water, may be larger."
+            "attenuation of both; that of the direct light alone, β of the water, may be larger."
         )
     elif c.width < NARROW_PX:
         sentences.append(
@@ -217,12 +212,9 @@ def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
         )
     else:
         sentences.append(f"Width law: {model.medium(c).width_law}, at b̄ of the medium.")
-    rates = {
-        colour: float(G)
-        for colour, G in zip(COLOURS, c.G, strict=True)
-        if numbers[f"veil_{colour}"].value is None
-    }
-    sentences += straight_line(rates, geometry.farthest)
+    rates = dict(zip(COLOURS, c.G.tolist(), strict=True))
+    endless = {colour: G for colour, G in rates.items() if numbers[f"veil_{colour}"].value is None}
+    sentences += straight_line(endless, geometry.farthest)
     if c.beta.max() > _MAX_BETA:
         sentences.append(f"β reaches {c.beta.max():.3g}/m: are the distances in metres?")
     if not winner.solution.converged:

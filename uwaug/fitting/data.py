@@ -41,13 +41,8 @@ _NEAR_QUANTILE, _FAR_QUANTILE = 0.05, 0.95  # of the finite distances: the ends 
 @plain
 @dataclass(frozen=True)
 class Geometry:
-    """Distances and sizes of the pictures of a fit.
-
-    Attributes:
-        nearest, reference, farthest: quantiles of the distances at 5, 50 and 95 %, m; width laws
-            refer to the median.
-        size: height and width, px.
-        widest: largest width of a blur, px.
+    """Quantiles of the distances at 5, 50 and 95 %, m (width laws refer to the median); height and
+    width, px; largest width of a blur, px.
     """
 
     nearest: float
@@ -82,17 +77,14 @@ class Pictures:
     def of(
         clean: Tensor | None, observed: Tensor, distance: Tensor, color_space: ColorSpace
     ) -> "Pictures":
-        """Check the input of a fit; arguments and errors are those of `uwaug.fit`. `clean` is None
-        where there is no clean picture.
-        """
+        """Check the input of a fit; arguments and errors are those of `uwaug.fit`."""
         checks.one_of("color_space", color_space, get_args(ColorSpace))
         tensors = {"observed": observed, "distance": distance}
         if clean is not None:
             tensors["clean"] = clean
         for name, tensor in tensors.items():
-            if not (
-                name != "distance" and isinstance(tensor, Tensor) and tensor.dtype == torch.uint8
-            ):
+            is_bytes = isinstance(tensor, Tensor) and tensor.dtype == torch.uint8
+            if name == "distance" or not is_bytes:
                 checks.floating(name, tensor)
             checks.picture(name, tensor, 1 if name == "distance" else 3)
             if tensor.shape[-2:] != observed.shape[-2:]:
@@ -116,10 +108,8 @@ class Pictures:
             usable = usable & unclipped[:, None]
         count = max(len(wet), len(z), len(dry))
         z = torch.where(z >= checks.OPEN, FARTHEST, torch.where(z > 0, z, 1.0))
-        z = z.expand(count, -1, -1, -1)
-        pictures = Pictures(
-            dry, wet.expand(count, -1, -1, -1), z, usable.expand_as(z), color_space, clips
-        )
+        wet, z, usable = (x.expand(count, -1, -1, -1) for x in (wet, z, usable))
+        pictures = Pictures(dry, wet, z, usable, color_space, clips)
         pictures._require_usable()
         return pictures
 
@@ -170,8 +160,8 @@ class Pictures:
         )
 
     def _require_usable(self) -> None:
-        """Refuse pictures with too few usable pixels, and distances that are all alike: attenuation
-        shows only between distances.
+        """Refuse too few usable pixels, and distances that are all alike: attenuation shows only
+        between distances.
         """
         usable = int(self.finite.sum())
         if usable < _MIN_PIXELS:

@@ -43,15 +43,8 @@ _OFFSET = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class TypeModel(Model):
-    """A scene in a Jerlov type with contents multiplied by a factor.
-
-    θ holds the logarithms of contents and gain, and the vertical depth [m].
-
-    Attributes:
-        water: the type.
-        camera, surfaces, g, point_spread, view: as of `fit_water`.
-        depth: vertical depth, m; None if it is fitted.
-        geometry: distances and sizes of the pictures.
+    """A scene in a Jerlov type with contents multiplied by a factor. θ holds the logarithms of
+    contents and gain, and the vertical depth [m].
     """
 
     water: Water
@@ -60,7 +53,7 @@ class TypeModel(Model):
     g: float
     point_spread: PointSpread
     view: View
-    depth: float | None
+    depth: float | None  # m; None if it is fitted
     geometry: Geometry
     offset: float = _OFFSET
 
@@ -71,7 +64,7 @@ class TypeModel(Model):
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
-        """Bounds of each fitted number, by name, in the order of θ."""
+        """As of `Model`."""
         invisible = math.exp(-MAX_OPTICAL_DEPTH)
         opaque = max(self.water.contents_for(invisible, self.geometry.reference), 1.0)
         low, high = math.log(_MIN_CONTENTS), math.log(min(opaque, _MAX_CONTENTS))
@@ -81,11 +74,11 @@ class TypeModel(Model):
         return bounds | {"gain": Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)}
 
     def numbers(self, theta: Array) -> dict[str, float]:
-        """Contents, vertical depth and gain."""
+        """Contents, vertical depth [m] and gain."""
         numbers = dict(zip(self.bounds, theta.tolist(), strict=True))
-        depth = numbers.get("vertical_depth", self.depth) or 0.0
+        depth = max(numbers.get("vertical_depth", self.depth) or 0.0, 0.0)
         factors = {name: math.exp(numbers[name]) for name in ("contents", "gain")}
-        return {**factors, "vertical_depth": max(depth, 0.0)}
+        return {**factors, "vertical_depth": depth}
 
     def water_of(self, theta: Array) -> Water:
         """The type with these contents."""
@@ -124,16 +117,14 @@ class TypeModel(Model):
         ]
 
     def report(self, theta: Array) -> Array:
-        """Value of each of `quantities`."""
+        """As of `Model`."""
         numbers = self.numbers(theta) | self.shown(theta)
         return np.array([numbers[quantity.name] for quantity in self.quantities])
 
     def shown(self, theta: Array) -> dict[str, float]:
         """Visibility and vertical depth, m."""
-        return {
-            "visibility": self.water_of(theta).visibility(),
-            "vertical_depth": self.numbers(theta)["vertical_depth"],
-        }
+        depth = self.numbers(theta)["vertical_depth"]
+        return {"visibility": self.water_of(theta).visibility(), "vertical_depth": depth}
 
 
 def fit_water(
@@ -154,18 +145,16 @@ def fit_water(
 ) -> Fit:
     """Find the Jerlov type of a scene's water, its contents and its vertical depth.
 
-    Contents, vertical depth and exposure are fitted for each of the ten types, by spectra of water
-    and camera through `Medium.from_water`. The type with the smallest residual is taken, and named
-    only if what it leaves is noise. Defaults are those of `uwaug.RandomUnderwater`.
+    All ten types are fitted, by spectra of water and camera; the one with the smallest residual is
+    named if what it leaves is noise. Defaults are those of `uwaug.RandomUnderwater`.
 
     Args:
         clean, observed, distance, color_space, seed, progress: as of `uwaug.fit`.
         camera: as of `Medium.from_water`. A wrong one gives a wrong water.
-        surfaces: "spectral" or "grey", as of `Medium.from_water`; "auto" tries both, and keeps
-            what explains the picture better.
+        surfaces: "spectral" or "grey", as of `Medium.from_water`; "auto": what explains the
+            picture better.
         vertical_depth: depth of the scene below the surface, m; None: it is fitted, 0…30 m.
-        g: share of the scattered light that leaves the line of sight; μ is 1.5·g. One picture does
-            not tell it from the water.
+        g: as of `Medium.from_water`; one picture does not tell it from the water.
         point_spread: width law; None: `PointSpread.calibrated`. Pictures by the paper's model need
             `PointSpread.paper()`, g = .2 and grey surfaces.
         view: of the camera, a `uwaug.View` or its angle in degrees, which the width of the blur
@@ -173,10 +162,9 @@ def fit_water(
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
 
     Returns:
-        The fit: its `model` is the type, or "no Jerlov type" if the best one leaves more than
-        noise; its `water`, of the best type, goes into `uwaug.RandomUnderwater`. Numbers are
-        visibility [m], contents (the factor of `Water.with_contents`), vertical depth [m] and gain
-        (exposure). Candidates are the ten types, with each kind of surfaces.
+        The fit: its `model` is the type, or "no Jerlov type"; its `water`, of the best type, goes
+        into `uwaug.RandomUnderwater`. Numbers are visibility [m], contents (the factor of
+        `Water.with_contents`), vertical depth [m] and gain (exposure).
 
     Raises:
         TypeError, ValueError: as `uwaug.fit`; if too few pixels lie above the noise.
@@ -225,9 +213,8 @@ def fit_water(
         for model, end in scouts:
             say(f"fitting {model.name}")
             objective = Objective(model, weighed)
-            solution = solve(objective, end.theta)
-            losses = block_losses(objective, solution.theta)
-            candidates.append(FittedModel(objective, solution, losses))
+            end = solve(objective, end.theta)
+            candidates.append(FittedModel(objective, end, block_losses(objective, end.theta)))
         candidates.sort(key=lambda candidate: candidate.loss)
         winner = candidates[0]
         model, theta = winner.model, winner.solution.theta

@@ -39,25 +39,14 @@ class Bounds(NamedTuple):
     high: float
     begin: float
 
-    def step(self, value: float) -> float:
-        """Step of a difference quotient at a value, away from the nearer end."""
-        step = _STEP * (abs(self.begin) or 1.0)
-        return step if value + step <= self.high else -step
-
 
 class Quantity(NamedTuple):
-    """A reported quantity.
-
-    Attributes:
-        name, unit: its name and unit.
-        resolution: smallest change that shows in the picture.
-        follows: name of the number of θ; where that is at a bound, the quantity is, too.
-    """
+    """A reported quantity."""
 
     name: str
     unit: str
-    resolution: float
-    follows: str
+    resolution: float  # smallest change that shows in the picture
+    follows: str  # name of the number of θ; where that is at a bound, the quantity is, too
 
 
 class Model(Protocol):
@@ -84,30 +73,6 @@ class Model(Protocol):
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""
 
-    def slopes(self, theta: Array, pixels: Pixels) -> Array:
-        """Derivatives of the 3·N values by θ (3·N x numbers), by differences. A number of one
-        colour moves no other, so those of three colours are moved at once.
-        """
-        light = self.render(theta, pixels)[0, :, 0]
-        jacobian = np.zeros((*light.shape, len(theta)))
-        columns: dict[str, dict[int, slice]] = {}
-        for i, name in enumerate(self.bounds):
-            kind, _, colour = name.rpartition("_")
-            if colour in COLOURS:
-                row = COLOURS.index(colour)
-                columns.setdefault(kind, {})[i] = slice(row, row + 1)
-            else:
-                columns[name] = {i: slice(3)}
-        steps = [bound.step(x) for bound, x in zip(self.bounds.values(), theta, strict=True)]
-        for rows in columns.values():
-            moved = theta.copy()
-            for i in rows:
-                moved[i] += steps[i]
-            difference = self.render(moved, pixels)[0, :, 0] - light
-            for i, row in rows.items():
-                jacobian[row, :, i] = difference[row] / (moved[i] - theta[i])
-        return jacobian.reshape(-1, len(theta))
-
     def report(self, theta: Array) -> Array:
         """Value of each of `quantities`."""
 
@@ -119,32 +84,54 @@ class Model(Protocol):
         """Values for a table of candidates, by name."""
         return {}
 
+    def slopes(self, theta: Array, pixels: Pixels) -> Array:
+        """Derivatives of the 3·N values by θ (3·N x numbers), by differences. A number of one
+        colour moves no other, so those of three colours are moved at once.
+        """
+        light = self.render(theta, pixels)[0, :, 0]
+        jacobian = np.zeros((*light.shape, len(theta)))
+        moves: dict[str, dict[int, slice]] = {}
+        for i, name in enumerate(self.bounds):
+            kind, _, colour = name.rpartition("_")
+            if colour in COLOURS:
+                c = COLOURS.index(colour)
+                moves.setdefault(kind, {})[i] = slice(c, c + 1)
+            else:
+                moves[name] = {i: slice(3)}
+        neighbour = neighbours(self, theta)
+        for columns in moves.values():
+            moved = theta.copy()
+            moved[[*columns]] = neighbour[[*columns]]
+            difference = self.render(moved, pixels)[0, :, 0] - light
+            for i, rows in columns.items():
+                jacobian[rows, :, i] = difference[rows] / (moved[i] - theta[i])
+        return jacobian.reshape(-1, len(theta))
+
+
+def neighbours(model: Model, theta: Array) -> Array:
+    """Values inside the bounds, a step of a difference quotient away from θ."""
+    _, high, begin = np.array([*model.bounds.values()]).T
+    step = _STEP * np.where(begin == 0, 1.0, np.abs(begin))
+    return np.asarray(np.where(theta + step <= high, theta + step, theta - step))
+
 
 def report_slopes(model: Model, theta: Array) -> Array:
     """Derivatives of the reported values by θ (quantities x numbers), by differences."""
     columns, values = [], model.report(theta)
-    for i, bound in enumerate(model.bounds.values()):
+    for i, value in enumerate(neighbours(model, theta)):
         moved = theta.copy()
-        moved[i] += bound.step(theta[i])
-        columns.append((model.report(moved) - values) / (moved[i] - theta[i]))
+        moved[i] = value
+        columns.append((model.report(moved) - values) / (value - theta[i]))
     return np.array(columns).T
 
 
 class ModelSpec(NamedTuple):
-    """A model of `uwaug.fit`.
-
-    Attributes:
-        name: its name.
-        separate_veil: True if the veil has a coefficient G, False if it has that of direct light.
-        shape: shape of the point spread, whose law has a width and an exponent; None without
-            forward scatter.
-        words: the terms of the model, in words.
-    """
+    """A model of `uwaug.fit`."""
 
     name: str
-    separate_veil: bool
-    shape: Shape | None
-    words: str
+    separate_veil: bool  # True if the veil has a coefficient of its own, G
+    shape: Shape | None  # of the point spread; None without forward scatter
+    words: str  # the terms of the model
 
 
 _SPECS = (
@@ -157,25 +144,14 @@ MODELS = {spec.name: spec for spec in _SPECS}  # from the fewest numbers to the 
 
 
 class Coefficients(NamedTuple):
-    """Coefficients of a picture; 3 numbers each, but for the width law.
+    """Coefficients of a picture; 3 numbers each, but for the width law."""
 
-    Attributes:
-        beta: attenuation of the direct light, 1/m.
-        G: attenuation of signal and veil, 1/m.
-        source: growth of the veil at the lens, G·V(0), 1/m; all that shows of the veil where G is
-            small.
-        light: light of a white surface in front of the lens: daylight, exposure and white balance
-            together.
-        width: σ at the reference distance, px.
-        exponent: exponent of the width law.
-    """
-
-    beta: Array
-    G: Array
-    source: Array
-    light: Array
-    width: float
-    exponent: float
+    beta: Array  # attenuation of the direct light, 1/m
+    G: Array  # attenuation of signal and veil, 1/m
+    source: Array  # growth of the veil at the lens, G·V(0), 1/m; all that shows of a straight one
+    light: Array  # of a white surface at the lens: daylight, exposure and white balance together
+    width: float  # σ at the reference distance, px
+    exponent: float  # of the width law
 
 
 @dataclass(frozen=True)
@@ -205,9 +181,8 @@ class CoefficientModel(Model):
     @property
     def fixable(self) -> tuple[str, ...]:
         """Names of the numbers that may be fixed."""
-        kinds = ("beta", "G", "veil") if self.spec.separate_veil else ("beta", "veil")
-        names = [f"{kind}_{colour}" for kind in kinds for colour in COLOURS]
-        return (*names, *(("width", "exponent") if self.spec.shape else ()))
+        names = (quantity.name for quantity in self.quantities)
+        return tuple(name for name in names if not name.startswith(("source", "gain")))
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
@@ -220,38 +195,35 @@ class CoefficientModel(Model):
             low = self.fixed.get(f"G_{colour}", 0.0) if scatters else 0.0
             high, begin = max(opaque, 2 * low), max(1 / reference, low)
             bounds[f"beta_{colour}"] = Bounds(low, high, begin)
+        others = {}
         if self.spec.separate_veil:
-            share = Bounds(0.0, 1.0 if scatters else _MAX_G_OVER_BETA, 0.5)
-            bounds |= {f"share_{colour}": share for colour in COLOURS}
-        source = Bounds(0.0, opaque, 0.2 / reference)
-        bounds |= {f"source_{colour}": source for colour in COLOURS}
+            others["share"] = Bounds(0.0, 1.0 if scatters else _MAX_G_OVER_BETA, 0.5)
+        others["source"] = Bounds(0.0, opaque, 0.2 / reference)
         if self.gain:
-            light = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
-            bounds |= {f"light_{colour}": light for colour in COLOURS}
+            others["light"] = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
+        bounds |= {f"{kind}_{colour}": x for kind, x in others.items() for colour in COLOURS}
         if scatters:
             bounds["width"] = Bounds(0.0, widest, 0.1 * widest)
             bounds["exponent"] = Bounds(*EXPONENTS, 1.0)
         kind_in_theta = {"G": "share", "veil": "source"}
         for name in self.fixed:
-            kind, _, colour = name.partition("_")
-            del bounds["_".join(filter(None, (kind_in_theta.get(kind, kind), colour)))]
+            kind, *suffix = name.split("_")
+            del bounds["_".join((kind_in_theta.get(kind, kind), *suffix))]
         return bounds
 
     def coefficients(self, theta: Array) -> Coefficients:
         """Coefficients of the picture at θ."""
         values = dict(self.fixed) | dict(zip(self.bounds, theta.tolist(), strict=True))
 
-        def three(kind: str, defaults: Array) -> Array:
-            rows = zip(COLOURS, defaults.tolist(), strict=True)
+        def three(kind: str, defaults: float | Array) -> Array:
+            rows = zip(COLOURS, np.broadcast_to(defaults, 3).tolist(), strict=True)
             return np.array([values.get(f"{kind}_{colour}", value) for colour, value in rows])
 
-        beta = three("beta", np.zeros(3))
-        G = three("G", three("share", np.ones(3)) * beta)
-        source = three("source", G * three("veil", np.zeros(3)))
-        light = np.exp(three("light", np.zeros(3)))
-        return Coefficients(
-            beta, G, source, light, values.get("width", 0.0), values.get("exponent", 1.0)
-        )
+        beta = three("beta", 0.0)
+        G = three("G", three("share", 1.0) * beta)
+        source, light = three("source", G * three("veil", 0.0)), np.exp(three("light", 0.0))
+        width, exponent = values.get("width", 0.0), values.get("exponent", 1.0)
+        return Coefficients(beta, G, source, light, width, exponent)
 
     def start(self, numbers: Mapping[str, float]) -> Array:
         """θ of numbers by the names of `bounds`; the others are where a fit may begin."""
@@ -303,10 +275,11 @@ class CoefficientModel(Model):
         kinds += [("veil", "1", light, "source"), ("source", "1/m", light / farthest, "source")]
         if self.gain:
             kinds.append(("gain", "1", light, "light"))
-        rows = []
-        for kind, unit, resolution, follows in kinds:
-            for colour in COLOURS:
-                rows.append(Quantity(f"{kind}_{colour}", unit, resolution, f"{follows}_{colour}"))
+        rows = [
+            Quantity(f"{kind}_{colour}", unit, resolution, f"{follows}_{colour}")
+            for kind, unit, resolution, follows in kinds
+            for colour in COLOURS
+        ]
         if self.spec.shape:
             rows.append(Quantity("width", "px", 0.2, "width"))
             rows.append(Quantity("exponent", "1", 0.2, "exponent"))
@@ -315,15 +288,9 @@ class CoefficientModel(Model):
     def report(self, theta: Array) -> Array:
         """Value of each of `quantities`."""
         c = self.coefficients(theta)
-        rows = [c.beta]
-        if self.spec.separate_veil:
-            rows.append(c.G)
-        rows += [c.source / (c.G + _MIN_G), c.source]
-        if self.gain:
-            rows.append(c.light)
-        if self.spec.shape:
-            rows.append(np.array([c.width, c.exponent]))
-        return np.concatenate(rows)
+        values = {**c._asdict(), "veil": c.source / (c.G + _MIN_G), "gain": c.light}
+        kinds = dict.fromkeys(quantity.name.partition("_")[0] for quantity in self.quantities)
+        return np.hstack([values[kind] for kind in kinds])
 
     def hidden(self, theta: Array) -> Sequence[str]:
         """Names of β and the width law, where the blur is hardly told from none."""

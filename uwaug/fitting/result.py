@@ -176,22 +176,6 @@ class Fit:
 
         return plot(self)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Numbers and words as plain values for JSON, without pictures."""
-        plain: dict[str, Any] = codec.to_plain(self)
-        return plain
-
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> "Fit":
-        """Inverse of `to_dict`.
-
-        Raises:
-            TypeError, ValueError: if `data` is not a fit.
-        """
-        fit: Fit = codec.from_plain(data, Fit)
-        checks.instance("data", fit, Fit)
-        return fit
-
     @staticmethod
     def of_plain(covariance: Any, **values: Any) -> "Fit":
         """A fit of plain values, for `uwaug._support.codec`."""
@@ -200,13 +184,15 @@ class Fit:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the result as JSON, whole or not at all; `uwaug.fitting.load_fit` reads it."""
         with written_whole(path) as part:
-            part.write_text(json.dumps(self.to_dict(), indent=1) + "\n", encoding="utf-8")
+            part.write_text(json.dumps(codec.to_plain(self), indent=1) + "\n", encoding="utf-8")
 
 
 def load_fit(path: str | os.PathLike[str]) -> Fit:
     """Read a fit that `Fit.save` wrote. A file that is none is a ValueError that names it."""
     require_regular(path)
     try:
-        return Fit.from_dict(json.loads(Path(path).read_text(encoding="utf-8")))
+        fit: Fit = codec.from_plain(json.loads(Path(path).read_text(encoding="utf-8")), Fit)
+        checks.instance("fit", fit, Fit)
+        return fit
     except (LookupError, RecursionError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: not a fit: {error}") from None

@@ -44,8 +44,8 @@ class Objective(Generic[M]):
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Least and largest values of the numbers."""
-        bounds = self.model.bounds.values()
-        return np.array([bound.low for bound in bounds]), np.array([bound.high for bound in bounds])
+        low, high, _ = np.array([*self.model.bounds.values()]).T
+        return low, high
 
     def residual(self, theta: Array) -> Array:
         """Model − observation in standard deviations of the noise (3·N)."""
@@ -60,19 +60,12 @@ class Objective(Generic[M]):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """End of a fit.
-
-    Attributes:
-        theta: the numbers.
-        cost: half of the summed loss.
-        at_bound: −1 or 1 where a number is at its least or largest value, else 0.
-        converged: True if it ended because nothing changed any more.
-    """
+    """End of a fit."""
 
     theta: Array
-    cost: float
-    at_bound: Array
-    converged: bool
+    cost: float  # half of the summed loss
+    at_bound: Array  # −1 or 1 where a number is at its least or largest value, else 0
+    converged: bool  # True if it ended because nothing changed any more
 
 
 def loss(residual: Array) -> Array:
@@ -187,10 +180,9 @@ def guess(
     values = {name: bound.begin for name, bound in model.bounds.items()} | dict(numbers or {})
     law = model.coefficients(np.array([values[name] for name in model.bounds]))
     pixels, reference = objective.pixels.subsample(_START_PIXELS // 2, 0), model.geometry.reference
-    trials = []
+    trials, ones = [], np.ones(3)
     for share in _G_OVER_BETA if model.spec.separate_veil else (1.0,):
         for beta in (_OPTICAL_DEPTHS / reference).tolist():
-            ones = np.ones(3)
             c = law._replace(beta=beta * ones, G=share * beta * ones, source=0 * ones, light=ones)
             scene = model.picture(c, pixels)
             growth = model.picture(c._replace(light=0 * ones, source=ones), pixels)
@@ -219,8 +211,8 @@ def _light_and_source(
         light = (gg * sy - sg * gy) / np.maximum(ss * gg - sg**2, 1e-12 * ss * gg + 1e-300)
         light = light.clip(1 / MAX_GAIN, MAX_GAIN)
     source = ((gy - light * sg) / np.maximum(gg, 1e-300)).clip(min=0.0)
-    fitted = torch.from_numpy(light).reshape(1, 3, 1, 1) * scene
-    residual = fitted + torch.from_numpy(source).reshape(1, 3, 1, 1) * growth - pixels.observed
+    by_light, by_source = (torch.from_numpy(x).reshape(1, 3, 1, 1) for x in (light, source))
+    residual = by_light * scene + by_source * growth - pixels.observed
     return product(residual, residual), light, source
 
 
@@ -234,15 +226,12 @@ def roughly_weighed(pixels: Pixels) -> Pixels:
 
 def reweighed(objective: Objective[M], theta: Array, clips: bool) -> tuple[Pixels, Array]:
     """Weigh pixels for all candidates by the light of the best model, with a noise estimated from
-    its residuals. Refuses pixels of which too few values lie above the noise.
+    its residuals; also its θ. Refuses pixels of which too few values lie above the noise.
 
     Args:
         objective: the best model, with roughly weighed pixels.
         theta: start of its fit.
         clips: as of `Pictures`.
-
-    Returns:
-        The pixels with their weights, and θ of the model.
     """
     pixels = objective.pixels
     for _ in range(_NOISE_ROUNDS):
@@ -259,22 +248,16 @@ def reweighed(objective: Objective[M], theta: Array, clips: bool) -> tuple[Pixel
             is_used &= (light > margin) & (light < 1 - margin) & (pixels.observed > 0)
         count = int(is_used.sum())
         if count < _MIN_VALUES:
-            got = f"only {count} of {is_used.numel()} values that are fitted lie above the noise"
-            raise ValueError(
-                f"observed: {got}, expected {_MIN_VALUES}: "
-                "raise the exposure, or check distances, g and blur"
-            )
+            got = f"only {count} of {is_used.numel()} values lie above the noise"
+            cure = "raise the exposure, or check distances, g and blur"
+            raise ValueError(f"observed: {got}, expected {_MIN_VALUES}: {cure}")
         objective = replace(objective, pixels=replace(pixels, weights=is_used / deviation))
     return objective.pixels, theta
 
 
 def noise(error: Tensor, light: Tensor, is_used: Tensor) -> Tensor:
-    """Standard deviation (read² + shot·light)^½ of the noise of each value, from residuals.
-
-    Args:
-        error: model − observation, in linear light.
-        light: the model's values, of the same shape.
-        is_used: True for residuals that count, of the same shape.
+    """Standard deviation (read² + shot·light)^½ of the noise of each value, from the residuals
+    (`error`) of the model's `light` that count (`is_used`), all of one shape.
     """
     from scipy.optimize import nnls
 

@@ -26,9 +26,8 @@ _MIN_PIXELS = 50  # pixels that a bin needs
 _MIN_DARK = 10  # least number of dark pixels of a bin
 _MIN_BINS = 3  # bins that a fit needs
 _MAX_DARK = 3000  # dark pixels of a fit
-# Factor of residuals above the curve, as surfaces may be brighter than black and none is darker.
-# With 1 the veil is too high by half as much again where nothing is black. With .1^½ noise draws it
-# down.
+# Factor of residuals above the curve. With 1 the veil is too high by half as much again where
+# nothing is black. With .1^½ noise draws it down.
 _ABOVE_WEIGHT = 0.3**0.5
 # Default of what dark surfaces may reflect; no real scene's are blacker than .03. The change of a
 # number by it is one standard error.
@@ -55,27 +54,22 @@ def fit_veil(
     pixels at each distance: if their surfaces are black, all their light is the veil's.
 
     In each of ten equal steps of distance the pixels of least luminance are taken, by the mean of
-    3×3 neighbours; in open water, any. Single pixels would be chosen for their noise, and V was
-    then 7 to 60 % off instead of 4 to 20 %. Residuals below the curve count more than those above.
-    Sea-thru's second term, J'·e^(−β' z) for the light of dark surfaces, is left out: pictures
-    hardly tell it from the veil, and on five scenes V was twice as far off with it.
+    3×3 neighbours; in open water, any. Sea-thru's second term, for the light of dark surfaces, is
+    left out: pictures hardly tell it from the veil, and on five scenes V was twice as far off.
 
     Args:
-        observed, distance, color_space: as of `uwaug.fit`; several pictures are of one water.
-        darkest: share of light that the darkest surfaces at each distance may reflect, 0…1. It
-            counts as veil, and the error this may cause is part of the errors. 0 if some surfaces
-            are known to be black, such as deep shadows or a target.
-        seed: seed of the choice of pixels.
+        observed, distance, color_space, seed: as of `uwaug.fit`; pictures are of one water.
+        darkest: share of light that the darkest surfaces at each distance may reflect, 0…1; its
+            change of a number counts as a standard error. 0 if some surfaces are known to be black.
 
     Returns:
-        The fit, an estimate: veil V(0), G and source G·V(0) of each channel. Its medium has β = G,
+        The fit, an estimate: G, veil V(0) and source G·V(0) of each channel. Its medium has β = G,
         as pictures without a clean one do not tell β. Where V(0) and G are not identified,
         `medium.backscatter` still is, as far as the picture reaches.
 
     Raises:
-        TypeError, ValueError: if an input does not suit; if fewer than 50 pixels can be used,
-            fewer than three steps hold enough of them, the distances are all alike, or the picture
-            is of one colour.
+        TypeError, ValueError: as `uwaug.fit`; if fewer than three steps hold 50 pixels, or the
+            picture is of one colour.
 
     Measured on five scenes, degraded in four waters with 1 % noise: the veil at a distance is .002
     to .004 off (RMS, linear light) where something is black at each of them, else up to .03 too
@@ -119,19 +113,19 @@ def fit_veil(
     covariance *= np.outer(scale, scale)
     values = scale * model.report(theta)
     errors = scale * np.sqrt(np.diag(of_pixels)), np.sqrt(np.diag(covariance))
-    is_full = dict(zip(COLOURS, c.G * nearest > _FULL_GROWN, strict=True))
-    is_bent = dict(zip(COLOURS, c.G * farthest >= THIN_OPTICAL_DEPTH, strict=True))
+    G = dict(zip(COLOURS, c.G.tolist(), strict=True))
+    full_grown = [colour for colour in COLOURS if G[colour] * nearest > _FULL_GROWN]
     # names of numbers that black surfaces, or more pixels, would tell
     if_black: list[str] = []
     if_more: list[str] = []
     numbers = {}
-    names = [(kind, colour) for kind in _UNITS for colour in COLOURS]
-    for (kind, colour), value, least, error in zip(names, values.tolist(), *errors, strict=True):
+    kinds = [(kind, colour) for kind in _UNITS for colour in COLOURS]
+    for (kind, colour), value, least, error in zip(kinds, values.tolist(), *errors, strict=True):
         # of a veil that is full-grown its end alone shows, if it is that of the water; of a
         # straight line its growth alone
-        shows = kind == "source" or bool(is_bent[colour])
-        if is_full[colour]:
-            shows = kind == "veil" and np.isinf(farthest)
+        shows = kind == "source" or G[colour] * farthest >= THIN_OPTICAL_DEPTH
+        if colour in full_grown:
+            shows = kind == "veil" and farthest == np.inf
         quantity = Quantity(f"{kind}_{colour}", _UNITS[kind], _RESOLUTION, "")
         number = parameter(quantity, value, float(error), shows=shows)
         if number.value is None and shows:
@@ -142,14 +136,13 @@ def fit_veil(
         "An estimate: the darkest pixels at each distance are taken for black. What their surfaces "
         f"reflect counts as veil; errors are for up to {darkest:.2g} of white (darkest)."
     ]
-    if any(is_full.values()):
-        colours = ", ".join(colour for colour in COLOURS if is_full[colour])
+    if full_grown:
         notes.append(
-            f"In {colours} what is darkest is as light at {nearest:.3g} m as farther away: the "
-            "water is very turbid, or nothing in view is black and V(0) is too high. Something "
-            f"black nearer than {nearest:.3g} m would tell."
+            f"In {', '.join(full_grown)} what is darkest is as light at {nearest:.3g} m as farther "
+            "away: the water is very turbid, or nothing in view is black and V(0) is too high. "
+            f"Something black nearer than {nearest:.3g} m would tell."
         )
-    if straight := straight_line(dict(zip(COLOURS, c.G.tolist(), strict=True)), farthest):
+    if straight := straight_line(G, farthest):
         notes += [f"{straight[0]} Open water in view (distance inf) would tell its end."]
     if if_black:
         cure = "Something black at each distance, such as deep shadow, and darkest=0 (--darkest 0)"
@@ -171,23 +164,24 @@ def fit_veil(
 
 
 class _OneSided(Objective[CoefficientModel]):
-    """Residuals of darker pixels than the veil count more, as none is darker than black."""
+    """Residuals of pixels that are lighter than the veil count less: surfaces may be brighter than
+    black, and none is darker.
+    """
 
     def residual(self, theta: Array) -> Array:
-        """As of `Objective`, less where the pixel is lighter than the veil."""
         residual = super().residual(theta)
         return np.where(residual < 0, _ABOVE_WEIGHT, 1.0) * residual
 
     def jacobian(self, theta: Array) -> Array:
-        """Derivatives of the residual (3·N x numbers)."""
-        side = np.where(super().residual(theta) < 0, _ABOVE_WEIGHT, 1.0)
-        return side[:, None] * super().jacobian(theta)
+        is_lighter = super().residual(theta) < 0
+        return np.where(is_lighter, _ABOVE_WEIGHT, 1.0)[:, None] * super().jacobian(theta)
 
 
 def _darkest(pictures: Pictures, rng: np.random.Generator) -> tuple[Pixels, float]:
     """The darkest pixels of each step of distance, and random pixels of open water, as pixels of
     black; in a unit of light, which is the second.
     """
+    # single pixels would be chosen for their noise: V was 7 to 60 % off instead of 4 to 20 %
     weights = torch.tensor(LUMINANCE, dtype=torch.float64).reshape(3, 1, 1)
     grey = (weights * pictures.observed).sum(1, keepdim=True)
     grey = F.avg_pool2d(F.pad(grey, (1, 1, 1, 1), mode="replicate"), 3, 1)
@@ -203,10 +197,10 @@ def _darkest(pictures: Pictures, rng: np.random.Generator) -> tuple[Pixels, floa
     bins = np.floor((z - low) / max(high - low, 1e-9) * _BINS)
     darkest = []
     for k in range(_BINS):
-        pixels = np.flatnonzero(finite & (bins == k))
-        if len(pixels) >= _MIN_PIXELS:
-            count = max(round(_DARK_SHARE * len(pixels)), _MIN_DARK)
-            darkest.append(pixels[np.argpartition(luminance[pixels], count)[:count]])
+        members = np.flatnonzero(finite & (bins == k))
+        if len(members) >= _MIN_PIXELS:
+            count = max(round(_DARK_SHARE * len(members)), _MIN_DARK)
+            darkest.append(members[np.argpartition(luminance[members], count)[:count]])
     if len(darkest) < _MIN_BINS:
         got = f"only {len(darkest)} of {_BINS} steps of distance hold {_MIN_PIXELS} pixels"
         raise ValueError(f"distance: {got}, expected {_MIN_BINS}: give larger pictures")
@@ -214,15 +208,15 @@ def _darkest(pictures: Pictures, rng: np.random.Generator) -> tuple[Pixels, floa
     darkest.append(open_water[: max(map(len, darkest))])
     sample = rng.permutation(np.concatenate(darkest))[:_MAX_DARK]
     light = light[sample].T
-    unit = float(np.quantile(light, 0.95, axis=1).max())
-    robust = np.quantile(light, 0.95, axis=1, keepdims=True).clip(min=_LEAST_SHARE * unit)
-    light = torch.from_numpy(light / unit)[None, :, None]
-    scale = torch.from_numpy(_ROBUST_SHARE * robust / unit / ROBUST)[None, :, None]
+    bright = np.quantile(light, 0.95, axis=1, keepdims=True)
+    unit = max(float(bright.max()), 1e-9)
+    weight = ROBUST / _ROBUST_SHARE / (bright / unit).clip(min=_LEAST_SHARE)
+    observed = torch.from_numpy(light / unit)[None, :, None]
     pixels = Pixels(
-        clean=torch.zeros_like(light),
-        observed=light,
+        clean=torch.zeros_like(observed),
+        observed=observed,
         z=torch.from_numpy(z[sample])[None, None, None],
-        weights=1 / scale.expand_as(light),
+        weights=torch.from_numpy(weight)[None, :, None].expand_as(observed),
         blocks=blocks[sample],
         stacks={},
         size=pictures.geometry.size,

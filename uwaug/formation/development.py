@@ -40,6 +40,9 @@ MID_GREY = 0.18
 GAINS = (1 / 8, 64.0)
 """Smallest and largest gain of a metered exposure, −3 to +6 stops: from ISO 100 to 6400 are 6."""
 
+DARKEST = 1e-30
+"""Mean light below which there is none to meter: quotients of less have no slope."""
+
 MOST = 16.0
 """Largest ratio of luminance to a channel's mean that a white balance makes up for."""
 
@@ -281,7 +284,7 @@ def farthest_veil(z: Tensor, medium: Medium) -> Tensor:
 def _automatic(means: Means) -> Tensor:
     """Gain (B, 1) that gives pictures the mean luminance of their scenes; 1 without any light."""
     before, after = _luminance(means.scene), _luminance(means.arriving)
-    dark = after <= 0
+    dark = after <= DARKEST
     gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))
     return gain.clamp(*GAINS).minimum(1 / means.highlight.clamp(min=1 / GAINS[1]))
 
@@ -290,11 +293,11 @@ def _balance(means: Tensor, share: float | Tensor) -> Tensor:
     """Factors (B, 3) of a white balance, for mean light (B, 3)."""
     share = share.clamp(min=0.0) if isinstance(share, Tensor) else share
     before = _luminance(means)
-    lit = before > 0
+    lit = before > DARKEST
     before = torch.where(lit, before, 1.0)
     balance: Tensor = (before / means.maximum(before / MOST)) ** share
     after = _luminance(balance * means)
-    balance = balance * before / torch.where(after > 0, after, before)
+    balance = balance * before / torch.where(after > DARKEST, after, before)
     return torch.where(lit, balance, 1.0)
 
 
@@ -320,14 +323,14 @@ def gain_at(
     gains = factors * 2.0**stops
     if metered:
         before, after = (means[0] * luminance).sum(), (means[1] * luminance).sum()
-        automatic = before / after if after > 0 else 1.0
+        automatic = before / after if after > DARKEST else 1.0
         automatic = min(max(automatic, GAINS[0]), GAINS[1])
         gains *= min(automatic, 1 / max(highlight, 1 / GAINS[1]))
     before = (means[2] * luminance).sum()
-    if white_balance > 0 and before > 0:
+    if white_balance > 0 and before > DARKEST:
         balance = (before / np.maximum(means[2], before / MOST)) ** white_balance
         after = (balance * means[2] * luminance).sum()
-        gains *= balance * (before / after if after > 0 else 1.0)
+        gains *= balance * (before / after if after > DARKEST else 1.0)
     matrix = np.empty((3, 3))
     for row in range(3):
         matrix[row] = (1 - saturation) * luminance

@@ -38,6 +38,13 @@ class FixedMedium(nn.Module):
         tensors: dict[str, Any] = dict(self.named_buffers())
         return replace(self.start, **tensors)
 
+    def _load_from_state_dict(self, state: dict[str, Any], prefix: str, *args: Any) -> None:
+        for name, buffer in self.named_buffers(recurse=False):
+            stored = state.get(prefix + name, buffer)
+            if stored.ndim > 1 and stored.shape[:-1] == buffer.shape[:-1]:
+                setattr(self, name, buffer.new_empty(stored.shape))  # another number of rates
+        super()._load_from_state_dict(state, prefix, *args)
+
     def get_extra_state(self) -> Tensor:
         """The law as numbers: its places in the lists of shapes and of units."""
         law = self.start.law

@@ -174,7 +174,7 @@ class Graph(nn.Module):
             normals, *inputs = inputs
         named: dict[str, Any] = {**self.constants, **self.coefficients}
         if inputs:
-            named |= zip(self.coefficients, inputs, strict=True)
+            named = dict(zip(self.coefficients, inputs, strict=True))
         sent, pitch = named.pop("lamp_light", None), named.pop("pitch", None)
         light = _traced_light(self.setting.light, sent, pitch)
         medium = _Traced(**named, law=self.setting.medium.law)

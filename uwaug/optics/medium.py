@@ -50,7 +50,7 @@ from uwaug._support.codec import from_plain, plain
 from uwaug._support.types import Array
 from uwaug.optics.camera import Camera, load_camera, require_covered, response_at
 from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves, mix
-from uwaug.optics.point_spread import Law, PointSpread, width_at
+from uwaug.optics.point_spread import IN_PIXELS, Law, PointSpread, width_at
 from uwaug.optics.reduction import attenuations, default_bands, reduced, reduced_curves
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.snow import MarineSnow
@@ -285,7 +285,7 @@ class Medium:
         medium = Medium(**tensors, law=law, notes=(note,))
         if len(arrays["direct_weights"]) == 9:  # else they are no memory of the tensors
             names = tuple(Medium.TENSORS)[:8]
-            vars(medium)["_weights"] = Weights(*(arrays[name][None] for name in names))
+            vars(medium)["_weights"] = Weights(*[arrays[name][None] for name in names])
         return medium
 
     @staticmethod
@@ -632,7 +632,7 @@ class Medium:
         if self.law.unit == "px":
             return self
         scale = self.scale * self.law.pixels(size, view)
-        return replace(self, scale=scale, law=replace(self.law, unit="px"))
+        return replace(self, scale=scale, law=IN_PIXELS[self.law.shape])
 
     def width(self, z: Tensor) -> Tensor:
         """σ(z) at distances (B or 1, 1, H, W), m, in units of the law."""

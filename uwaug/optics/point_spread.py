@@ -1,6 +1,7 @@
 """Width law of the forward scatter."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, get_args
 
 import torch
@@ -62,6 +63,10 @@ class Law:
         return short / PAPER_SIDE
 
 
+IN_PIXELS = {shape: Law(shape) for shape in get_args(Shape)}
+"""Laws in px of the image at hand, by shape."""
+
+
 @plain
 @dataclass(frozen=True)
 class PointSpread:
@@ -89,7 +94,7 @@ class PointSpread:
             checks.within(f"PointSpread.{name}", getattr(self, name), *DOMAIN[name])
         self.law  # noqa: B018  refuses what is no law
 
-    @property
+    @cached_property
     def law(self) -> Law:
         """Shape and unit."""
         return Law(self.shape, self.unit)

@@ -28,18 +28,16 @@ class Weights(NamedTuple):
 
     def row(self, n: int) -> "Weights":
         """The n-th medium, as a batch of one."""
-        return Weights(*(array[n : n + 1] for array in self))
+        return self if len(self.beta) == 1 else Weights(*[array[n : n + 1] for array in self])
 
     def seen_by(self, gains: Array) -> "Weights":
         """The media before a camera that mixes channels by matrices (B or 1, 3, 3)."""
         count = max(len(gains), len(self.beta))
         wide = self
         if count > len(self.beta):
-            wide = Weights(*(array.repeat(count, 0) for array in self))
-        direct, signal = (
-            (gains @ weights.reshape(count, 3, -1)).reshape(weights.shape)
-            for weights in (wide.direct, wide.signal)
-        )
+            wide = Weights(*[array.repeat(count, 0) for array in self])
+        direct = (gains @ wide.direct.reshape(count, 3, -1)).reshape(wide.direct.shape)
+        signal = (gains @ wide.signal.reshape(count, 3, -1)).reshape(wide.signal.shape)
         return wide._replace(direct=direct, signal=signal, veil=gains @ wide.veil)
 
     def widths(self, z: Array) -> Array:

@@ -5,7 +5,7 @@ beyond that of the draws.
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from dataclasses import field as option
 from functools import partial
 from typing import Any, NamedTuple
@@ -186,12 +186,18 @@ def like(
     checks.instance("augment", augment, RandomUnderwater)
     if not 1 <= keep <= draws // 15:
         raise ValueError(f"draws must be 15 times keep or more, and keep 1, got {draws} and {keep}")
-    photographs = [_features(photograph) for photograph in _small("reference", reference, 3)]
-    scenes: list[Any] = _small("pictures", pictures, 3)
-    maps = [None] * len(scenes) if distance is None else _small("distance", distance, 1)
-    if len(maps) != len(scenes):
-        raise ValueError(f"distance has {len(maps)} maps for {len(scenes)} pictures")
-    trials = _Trials(augment, list(zip(scenes, maps, strict=True)), seed)
+    photographs = [_features(photograph) for photograph, _ in _small("reference", reference, 3)]
+    small = _small("pictures", pictures, 3)
+    maps: list[Any] = [(None, 1.0)] * len(small)
+    if distance is not None:
+        maps = _small("distance", distance, 1)
+    if len(maps) != len(small):
+        raise ValueError(f"distance has {len(maps)} maps for {len(small)} pictures")
+    scenes = [
+        _Scene(picture, metres, replace(augment, view=augment.view.resized(factor)))
+        for (picture, factor), (metres, _) in zip(small, maps, strict=True)
+    ]
+    trials = _Trials(augment, scenes, seed)
     kept: list[Record] = []
     of_each, doubt = [], ""
     with muted():
@@ -212,6 +218,14 @@ def like(
     return UnderwaterLike(**options, kept=tuple(kept), nearness=nearness)
 
 
+class _Scene(NamedTuple):
+    """A small picture with its map, and the transform as its small view needs it."""
+
+    picture: Tensor
+    metres: Tensor | None
+    augment: RandomUnderwater
+
+
 class _Draw(NamedTuple):
     """Draws of a sample, and the features of the pictures on which they were tried."""
 
@@ -221,14 +235,14 @@ class _Draw(NamedTuple):
 
 
 class _Trials:
-    """Draws of a transform, tried on some scenes: pictures with their maps."""
+    """Draws of a transform, tried on some scenes."""
 
-    def __init__(self, augment: RandomUnderwater, scenes: list[Any], seed: int) -> None:
+    def __init__(self, augment: RandomUnderwater, scenes: list[_Scene], seed: int) -> None:
         self.augment, self.scenes = augment, scenes
         self.generator = torch.Generator().manual_seed(seed)
 
     def new(self, first: int) -> _Draw:
-        (sample,) = self.augment.make_params(self.scenes[0][0], self.generator)["samples"]
+        (sample,) = self.augment.make_params(self.scenes[0].picture, self.generator)["samples"]
         kept = {name: _without_seeds(sample[name]) for name in _KEPT}
         return self.tried(_Draw(kept, first, []))
 
@@ -252,10 +266,10 @@ class _Trials:
 
     def tried(self, draw: _Draw) -> _Draw:
         """The same draw, tried on one more picture."""
-        picture, metres = self.scenes[(draw.first + len(draw.features)) % len(self.scenes)]
-        (sample,) = self.augment.make_params(picture, self.generator)["samples"]
+        scene = self.scenes[(draw.first + len(draw.features)) % len(self.scenes)]
+        (sample,) = self.augment.make_params(scene.picture, self.generator)["samples"]
         params = {"samples": [_with_kept({**sample, "applied": True}, draw.sample)]}
-        result = self.augment.transform(picture, metres, params)
+        result = scene.augment.transform(scene.picture, scene.metres, params)
         if self.augment.development.color_space == "linear":
             result = linear_to_srgb(result).clamp(0, 1)
         draw.features.append(_features(result))
@@ -298,9 +312,11 @@ def _with_kept(sample: Record, kept: Mapping[str, Any]) -> Record:
     return changed
 
 
-def _small(name: str, tensors: Any, channels: int) -> list[Tensor]:
-    """Small copies (CxHxW), on the host, of a picture or map, a batch, or a list of either."""
-    small: list[Tensor] = []
+def _small(name: str, tensors: Any, channels: int) -> list[tuple[Tensor, float]]:
+    """Small copies (CxHxW), on the host, of a picture or map, a batch, or a list of either; and
+    their sizes as shares of the originals'.
+    """
+    small: list[tuple[Tensor, float]] = []
     for tensor in tensors if isinstance(tensors, (list, tuple, Iterator)) else [tensors]:
         if channels == 1 or getattr(tensor, "dtype", None) != torch.uint8:
             checks.floating(name, tensor, "" if channels == 1 else "; or uint8")
@@ -311,10 +327,11 @@ def _small(name: str, tensors: Any, channels: int) -> list[Tensor]:
         scale = _SHORT_SIDE_PX / min(values.shape[-2:])
         size = [round(scale * side) for side in values.shape[-2:]]
         if channels == 1:
-            small += interpolate(values, size, mode="nearest")
+            small += [(copy, scale) for copy in interpolate(values, size, mode="nearest")]
             continue
         require_values(values, "srgb", name)
-        small += interpolate(values, size, mode="bilinear", antialias=True).clamp(0, 1)
+        copies = interpolate(values, size, mode="bilinear", antialias=True).clamp(0, 1)
+        small += [(copy, scale) for copy in copies]
     if not small:
         raise ValueError(f"{name}: expected at least one, got none")
     return small

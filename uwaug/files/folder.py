@@ -1,0 +1,190 @@
+"""The folder of a run: one run at a time, and a manifest of what it writes."""
+
+import json
+import os
+import socket
+import sys
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import IO, Any
+
+from uwaug import __version__
+from uwaug._support.atomic import require_regular, written_whole
+from uwaug.files.record import digest
+
+MANIFEST = "uwaug-run.json"
+"""Name of the manifest: by whom, with what, and which files."""
+
+_LOCK = ".uwaug-run.lock"
+_SILENCE_S = 300.0  # after which a run on another machine is taken for dead
+_FAR_BYTE = 1 << 20  # Windows lets nobody read a byte that is locked
+
+_ANEW = "force=True (--force) removes what it wrote, and begins anew"
+
+
+def manifest_of(folder: Path) -> dict[str, Any] | None:
+    """The manifest of the run that a folder is of; None without one."""
+    try:
+        require_regular(folder / MANIFEST)
+        manifest = json.loads((folder / MANIFEST).read_bytes())
+        names = map(Path, [*manifest["files"], *manifest["lists"]])
+        is_inside = all(".." not in name.parts and not name.is_absolute() for name in names)
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return None
+    return manifest if is_inside else None
+
+
+@contextmanager
+def held(out: Path) -> Iterator[Callable[[], None]]:
+    """Open a context in which no other run works in a folder. Gives a function to call now and
+    then, as a sign of life. A process that is killed holds nothing.
+
+    Raises:
+        FileExistsError: if another run is at work there.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    here = socket.gethostname()
+    with (out / _LOCK).open("a+", encoding="utf-8") as file:
+        is_locked = _lock(file)
+        file.seek(0)
+        process, _, host = file.read().partition(" on ")
+        status = os.fstat(file.fileno())
+        # not all file systems show locks to other machines
+        is_told = bool(process) and (is_locked is None or host != here)
+        is_alive = is_told and time.time() - status.st_mtime < _SILENCE_S
+        # without a name, the file is that of a run that has just ended
+        if is_locked is False or is_alive or not status.st_nlink:
+            got = f"{process or 'a process'} on {host or here} is at work there"
+            raise FileExistsError(f"{out}: {got}: give each job an --out of its own")
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {here}")
+        file.flush()
+
+        def say_alive() -> None:
+            with suppress(OSError):
+                os.utime(file.name)
+
+        try:
+            yield say_alive
+        finally:
+            with suppress(OSError):  # Windows removes no open file
+                os.unlink(file.name)
+
+
+def _lock(file: IO[str]) -> bool | None:
+    """Lock a file until it is closed; False if another has, None where there are no locks."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            file.seek(_FAR_BYTE)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError:
+        return None
+    return True
+
+
+class RunFolder:
+    """What a run may write in a folder that it holds.
+
+    Args:
+        out: folder.
+        made_with: what all results follow from.
+        files: names of all files of the run but its lists, which are those of all pictures.
+        inputs: real paths of files that are read.
+        resume: go on with a run of the same `made_with`.
+        force: remove first what a run has written there.
+
+    Raises:
+        FileExistsError: if the folder holds anything else.
+        ValueError: if a file that is read would be removed.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        made_with: Mapping[str, Any],
+        files: Collection[str],
+        inputs: Collection[str] = (),
+        *,
+        resume: bool = False,
+        force: bool = False,
+    ) -> None:
+        self.out, earlier = out, manifest_of(out)
+        if earlier is None:
+            if any(not name.startswith(".") for name in os.listdir(out)):
+                raise FileExistsError(f"{out} is not empty, and of no run: choose another folder")
+        elif force:
+            self._remove(earlier, inputs)
+        elif not resume:
+            cure = f"resume=True (--resume) goes on, {_ANEW}"
+            raise FileExistsError(f"{out} is not empty, but of a run: {cure}")
+        else:
+            require_same(out, earlier, made_with)
+            others = sorted({*earlier["files"]} - {*files})
+            if stale := [name for name in others if (out / name).exists()]:
+                got = f"{out} holds {len(stale)} files that this run does not make"
+                raise FileExistsError(f"{got}, such as {stale[0]}: remove them; or {_ANEW}")
+        earlier = (resume and not force and earlier) or {"files": [], "lists": {}}
+        for name in {*files} - {*earlier["files"]}:
+            if os.path.lexists(out / name):
+                raise FileExistsError(f"{out / name} {NOT_OURS}")
+        who = {"uwaug": __version__, "host": socket.gethostname(), "process": os.getpid()}
+        self._manifest = {**who, **made_with, "files": [*files], "lists": earlier["lists"]}
+        self._save()
+
+    def write_lists(self, lists: Mapping[str, bytes]) -> list[str]:
+        """Write files of all pictures, but those that somebody has written or edited: gives a
+        sentence on each of these.
+        """
+        digests, notes, own = self._manifest["lists"], [], {}
+        for name, content in lists.items():
+            file = self.out / name
+            if file.exists() and digest(file) not in digests.get(name, ()):
+                cure = "remove it, and --resume writes it"
+                notes.append(f"{file} stays, as it was edited: {cure}")
+                continue
+            own[name] = content
+            # that of before counts as well, should this process be killed here
+            digests[name] = [*digests.get(name, [])[-1:], sha256(content).hexdigest()]
+        self._save()
+        for name, content in own.items():
+            file = self.out / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with written_whole(file) as part:
+                part.write_bytes(content)
+        return notes
+
+    def _save(self) -> None:
+        with written_whole(self.out / MANIFEST) as part:
+            part.write_text(json.dumps(self._manifest, indent=1) + "\n", encoding="utf-8")
+
+    def _remove(self, manifest: Mapping[str, Any], inputs: Collection[str]) -> None:
+        """Remove the files of a run, but lists that were edited."""
+        lists = manifest["lists"].items()
+        names = [name for name, digests in lists if digest(self.out / name) in digests]
+        files = [self.out / name for name in (*manifest["files"], *names)]
+        if read := next((file for file in files if os.path.realpath(file) in inputs), None):
+            raise ValueError(f"{read} is read, and would be removed: choose another folder")
+        for file in files:
+            file.unlink(missing_ok=True)
+
+
+NOT_OURS = "was not written by a run: move it, or choose another folder"
+
+
+def require_same(out: Path, earlier: Mapping[str, Any], made_with: Mapping[str, Any]) -> None:
+    """Refuse to go on with results of another recipe."""
+    changes = [name for name, value in made_with.items() if earlier.get(name) != value]
+    if changes:
+        got = f"{out} was made with another {' and '.join(changes)}"
+        raise FileExistsError(f"{got}: choose another folder; {_ANEW}")
