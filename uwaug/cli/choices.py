@@ -77,7 +77,9 @@ Preset = Annotated[
 ]
 Workers = Annotated[int, typer.Option(help="Number of processes; 0: one for each core.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on after a stop.")]
-Force = Annotated[bool, typer.Option("--force", help="Write over existing files.")]
+Force = Annotated[
+    bool, typer.Option("--force", help="Write over existing files, or begin a folder anew.")
+]
 
 
 def number_or_word(text: str) -> Any:
