@@ -30,7 +30,7 @@ class Network(Source):
     """Monocular depth network, for pictures without maps, or to call.
 
     Its errors become wrong colours, and it runs for every picture. Where pictures come again, keep
-    its maps in files. A network of the Hugging Face hub is fetched once, when it is named, into
+    its maps in files. A network of the Hugging Face hub is fetched once, at the first call, into
     that library's cache.
 
     An ONNX file must take one picture, (1, 3, h, w) or (1, h, w, 3), and give (1, h', w'),
@@ -87,25 +87,31 @@ class Network(Source):
         if self.short_side < 1 or self.multiple < 1:
             got = f"got {self.short_side} and {self.multiple}"
             raise ValueError(f"short_side and multiple must be at least 1, {got}")
-        session = Session(self._path(), threads=None, providers=self.providers)
-        object.__setattr__(self, "_session", session)
-
-    def _path(self) -> Path:
-        path = Path(cast(str, self.model))
-        if path.is_file():
-            if self.revision is not None:
-                raise ValueError(f"revision is of the hub; {path} is a file: leave it out")
-            return path
-        file = hub_file(str(self.model), self.revision)
-        if file is None:
+        path = Path(self.model)
+        if path.is_file() and self.revision is not None:
+            raise ValueError(f"revision is of the hub; {path} is a file: leave it out")
+        if not path.is_file() and hub_file(str(self.model), self.revision) is None:
             expected = f"an ONNX file, {', '.join(NAMED)}, or owner/name:file of the hub"
             raise FileNotFoundError(f"model must be {expected}; got {self.model}: no such file")
-        return fetched(file)
+
+    @property
+    def _opened(self) -> Session:
+        """The file's session. The hub is asked here: a preset of a stranger fetches nothing."""
+        if self._session is None:
+            path = Path(cast(str, self.model))
+            if not path.is_file():
+                file = hub_file(str(self.model), self.revision)
+                assert file is not None
+                path = fetched(file)
+            session = Session(path, threads=None, providers=self.providers)
+            object.__setattr__(self, "_session", session)
+        assert self._session is not None
+        return self._session
 
     @property
     def file(self) -> Path | None:
-        """Path of the ONNX file; None for a function."""
-        return self._session.path if self._session else None
+        """Path of the ONNX file, which is fetched if it is of the hub; None for a function."""
+        return None if callable(self.model) else self._opened.path
 
     def reach(self) -> tuple[float, float] | None:
         """See `Source.reach`."""
@@ -148,7 +154,7 @@ class Network(Source):
         return depth.view(*image.shape[:-3], 1, *image.shape[-2:])
 
     def _predict(self, image: Tensor) -> Tensor:
-        session = cast(Session, self._session)
+        session = self._opened
         entry = session.opened.get_inputs()[0]
         # free channels are taken for colours, unless colours come last
         shape = entry.shape if len(entry.shape) == 4 else [0] * 4
