@@ -120,7 +120,7 @@ def _scalar(name: str, value: Any, hints: tuple[Any, ...]) -> Any:
         return value
     if bool in hints and isinstance(value, str) and value.lower() in _TRUTH:
         return _TRUTH[value.lower()]
-    expected = {_scalar_type(hint) for hint in hints} - {None}
+    expected = {kind for hint in hints if (kind := _scalar_type(hint))}
     # a whole number is a number
     if type(value) in expected or (type(value) is int and float in expected):
         return value

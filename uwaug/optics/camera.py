@@ -111,9 +111,10 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
     """Load a camera by name or from a file; a ``Camera`` passes through.
 
     Args:
-        camera: "Nikon 5100 (NPL)" or "Sigma SDMerill (NPL)", whatever its case, blanks and punctuation; or the
-            path of a CSV file (a string that ends in ``.csv``, or any path object) whose rows are
-            wavelength [nm], R, G, B, separated by commas, with or without one header line.
+        camera: "Nikon 5100 (NPL)" or "Sigma SDMerill (NPL)", whatever its case, blanks
+            and punctuation; or the path of a CSV file (a string that ends in ``.csv``, or any path
+            object) whose rows are wavelength [nm], R, G, B, separated by commas, with or without
+            one header line.
 
     Raises:
         TypeError: if ``camera`` is none of these.

@@ -1,4 +1,4 @@
-"""Tables of the Jerlov water types, with misprints repaired; `waters/NOTICE` says whence they are."""
+"""Tables of the Jerlov water types, with misprints repaired; sources: `waters/NOTICE`."""
 
 import csv
 from functools import cache
