@@ -296,7 +296,7 @@ REFUSED = [
     ("survey", r"^light = .*", "lihgt = 1", "did you mean light?"),
     ("survey", r"^kind = .*", "", "distance must be a uwaug.Source, got dict; give Metres,"),
     ("survey", r"^kind = .*", 'kind = "Relativ"', "did you mean Relative?"),
-    ("survey", r"^g = .*", 'g = "0.2"', "g must be a number or a range"),
+    ("survey", r"^g = .*", 'g = "0.2"', "g must be a number, got"),
     (
         "survey",
         r"^g = .*",
