@@ -143,7 +143,7 @@ def _scalar_type(hint: Any) -> type | None:
         return str
     if getattr(hint, "__name__", "") in ("Tensor", "ndarray"):  # without PyTorch
         return float
-    return hint if hint in _IN_WORDS else None
+    return hint if isinstance(hint, type) and hint in _IN_WORDS else None
 
 
 def _kind_of(data: Mapping[str, Any], expected: tuple[type, ...]) -> type | None:
