@@ -146,5 +146,5 @@ def test_what_is_no_model_is_refused(tmp_path) -> None:
 
 def test_metadata_of_a_stranger_make_no_network() -> None:
     stored = {"medium": {"kind": "Network", "model": "stranger/repository:beacon.onnx"}}
-    with pytest.raises(ValueError, match="kind must be .*Medium.*, got 'Network'"):
+    with pytest.raises(ValueError, match=r"kind must be .*Medium.*, got 'Network'"):
         module_of("x.onnx", {"uwaug_module": json.dumps(stored)})

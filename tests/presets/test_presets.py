@@ -351,5 +351,5 @@ def test_deep_nesting_and_pipes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"deep\.toml: not a TOML file"):
         load_preset(path)
     os.mkfifo(tmp_path / "pipe.toml")
-    with pytest.raises(OSError, match="path must be a file, but .* is no regular"):
+    with pytest.raises(OSError, match=r"path must be a file, but .* is no regular"):
         load_preset(tmp_path / "pipe.toml")
