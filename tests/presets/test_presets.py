@@ -1,3 +1,4 @@
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -298,7 +299,7 @@ REFUSED = [
     ("survey", r"^light = .*", "lihgt = 1", "did you mean light?"),
     ("survey", r"^kind = .*", "", "distance must be a uwaug.Source, got dict; give Metres,"),
     ("survey", r"^kind = .*", 'kind = "Relativ"', "did you mean Relative?"),
-    ("survey", r"^g = .*", 'g = "0.2"', "g must be a number or a range"),
+    ("survey", r"^g = .*", 'g = "0.2"', "g must be a number, got"),
     (
         "survey",
         r"^g = .*",
@@ -344,3 +345,13 @@ def test_refusals_name_the_file_and_the_key(tmp_path, name, pattern, replacement
 def test_arguments_that_are_refused(name, options, message):
     with pytest.raises(ValueError, match=message):
         uwaug.load_preset(name, **options)
+
+
+def test_deep_nesting_and_pipes_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "deep.toml"
+    path.write_text("a=" + "[" * 50_000 + "]" * 50_000)
+    with pytest.raises(ValueError, match=r"deep\.toml: not a TOML file"):
+        load_preset(path)
+    os.mkfifo(tmp_path / "pipe.toml")
+    with pytest.raises(OSError, match=r"path must be a file, but .* is no regular"):
+        load_preset(tmp_path / "pipe.toml")

@@ -37,7 +37,7 @@ class Network(Source):
     """Monocular depth network, for pictures without maps, or to call.
 
     Its errors become wrong colours, and it runs for every picture: where pictures come again, keep
-    its maps in files. A network of the Hugging Face hub is fetched when it is named, once.
+    its maps in files. A network of the Hugging Face hub is fetched once, at the first call.
 
     An ONNX file takes one picture, (1, 3, h, w), of floating point, and gives (1, h', w') or
     (1, 1, h', w') first, as exports of MiDaS, DPT and Depth Anything do. It opens at the first
@@ -91,14 +91,23 @@ class Network(Source):
         if self.short_side < 1 or self.multiple < 1:
             got = f"got {self.short_side} and {self.multiple}"
             raise ValueError(f"short_side and multiple must be at least 1, {got}")
-        path = _fetched(str(self.model), self.revision) if is_named else Path(self.model)
-        session = Session(path, threads=None, providers=self.providers)
-        object.__setattr__(self, "_session", session)
+        if is_named:
+            _address_of(str(self.model))
+
+    @property
+    def _opened(self) -> Session:
+        """The file's session. The hub is asked here: a preset of a stranger fetches nothing."""
+        if self._session is None:
+            path = Path(cast(str, self.model))
+            path = path if path.is_file() else _fetched(str(self.model), self.revision)
+            session = Session(path, threads=None, providers=self.providers)
+            object.__setattr__(self, "_session", session)
+        return cast(Session, self._session)
 
     @property
     def file(self) -> Path | None:
-        """Path of the ONNX file; None for a function."""
-        return self._session.path if self._session else None
+        """Path of the ONNX file, which is fetched if it is of the hub; None for a function."""
+        return None if callable(self.model) else self._opened.path
 
     def reach(self) -> tuple[float, float] | None:
         """See `Source.reach`."""
@@ -141,7 +150,7 @@ class Network(Source):
         return depth.view(*image.shape[:-3], 1, *image.shape[-2:])
 
     def _predict(self, image: Tensor) -> Tensor:
-        session = cast(Session, self._session)
+        session = self._opened
         entry = session.opened.get_inputs()[0]
         channels, *sides = entry.shape[1:] if len(entry.shape) == 4 else [0, 0, 0]
         are_colours = channels in (3, None) or isinstance(channels, str)
@@ -166,19 +175,27 @@ class Network(Source):
         return interpolate(depth, image.shape[-2:], mode="bilinear", align_corners=False).to(image)
 
 
-def _fetched(model: str, revision: str | None) -> Path:
-    """Fetch a file of the hub, once, into the cache of huggingface_hub. Offline mode, mirrors and
-    tokens are set as that library has them (`HF_HUB_OFFLINE`, `HF_ENDPOINT`, `HF_TOKEN`).
-    """
+def _address_of(model: str) -> tuple[str, str, str | None]:
+    """Repository, file and commit of a network on the hub; refuses what is no address."""
     address, tried = NAMED.get(model, (model, None))
     repository, _, file = address.partition(":")
     if repository.count("/") != 1 or not file:
         expected = f"an ONNX file, {', '.join(NAMED)}, or owner/name:file of the hub"
         raise FileNotFoundError(f"model must be {expected}; got {model}: no such file")
+    return repository, file, tried
+
+
+def _fetched(model: str, revision: str | None) -> Path:
+    """Fetch a file of the hub, once, into the cache of huggingface_hub. Offline mode, mirrors and
+    tokens are set as that library has them (`HF_HUB_OFFLINE`, `HF_ENDPOINT`, `HF_TOKEN`).
+    """
+    repository, file, tried = _address_of(model)
     (hub,) = require("hub", "huggingface_hub")
     try:
         return Path(hub.hf_hub_download(repository, file, revision=revision or tried))
     except Exception as error:  # of several libraries, without a common base
         reason = " ".join(str(error).split()) or type(error).__name__
         cure = "or fetch the file elsewhere and give its path"
-        raise FileNotFoundError(f"{address} could not be fetched: {reason}; {cure}") from error
+        raise FileNotFoundError(
+            f"{repository}:{file} could not be fetched: {reason}; {cure}"
+        ) from error
