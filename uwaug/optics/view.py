@@ -53,7 +53,7 @@ class View:
     @staticmethod
     def of(value: "View | float") -> "View":
         """A view, or one of so many degrees."""
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
+        if isinstance(value, (int, float)):
             return View(value)
         checks.instance("view", value, View, "; or give its angle in degrees")
         return value
