@@ -567,3 +567,49 @@ def test_frames_of_a_film_are_one_witness(tmp_path, monkeypatch, films):
     assert ("look like disparity" in told) == (films == 4)
     told = " ".join(prepare(replace(recipe, sequence=False), items)[1])
     assert "frames of one scene are one witness (--sequence)" in told
+
+
+def test_a_meter_that_is_switched_off_in_words(folder, run):
+    for word in ("False", "off", "no"):
+        line = (
+            "degrade",
+            "photos/a.png",
+            "--distance",
+            "2",
+            "--set",
+            f"development.metered={word}",
+        )
+        code, _, err = run(*line, "--out", f"{word}.png")
+        assert (code, err) == (0, "")
+        recipe = json.loads(Path(f"{word}.png.json").read_text())["recipe"]
+        assert recipe["transform"]["development"]["metered"] is False
+
+
+def test_the_view_of_the_camera(folder, run):
+    line = (
+        "degrade",
+        "photos/a.png",
+        "--distance",
+        "depth/a.png",
+        "--unit",
+        "mm",
+        "--holes",
+        "fill",
+    )
+    line = (*line, "--set", "distance.planar=true", "--out")
+    for name, flags in {"wide": (), "px": ("--focal-px", "40"), "narrow": ("--view", "20")}.items():
+        code, _, err = run(*line, f"{name}.png", *flags)
+        assert (code, err) == (0, "")
+    assert len({Path(f"{name}.png").read_bytes() for name in ("wide", "px", "narrow")}) == 3
+    code, _, err = run(*line, "d.png", "--view", "20", "--focal-px", "40")
+    assert (code, "--view and --focal-px say the same" in err) == (1, True)
+    code, _, err = run(*line, "d.png", "--focal-px", "2.8")
+    assert "focal_px must be in px of the picture, got 2.8: a lens of f mm" in err
+
+
+@pytest.mark.parametrize("flag", [("--severity", "all"), ("--contrast", ".5")])
+def test_a_medium_of_coefficients_has_no_grades(folder, run, flag):
+    line = ("degrade", "photos", *MAPS, "--preset", "tank-proposed-1", *flag, "--out", "wet")
+    code, _, err = run(*line)
+    assert (code, "a medium of coefficients stays as it is" in err) == (1, True)
+    assert not Path("wet").exists()
