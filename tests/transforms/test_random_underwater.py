@@ -415,7 +415,6 @@ def test_a_module_is_planned_for_the_distances_times_the_field(distance: Any, en
 
 RANDOM: dict[str, RandomUnderwater] = {
     "water.contrast": fixed(contrast=0.2),
-    "water.point_spread": fixed(point_spread=None),
     "water.vertical_depth": fixed(vertical_depth=(0.0, 3.0)),
     "water.waters": fixed(waters=["II", "7C"]),
     "water.mixing": fixed(mixing=(0.0, 0.5)),
@@ -434,9 +433,12 @@ def test_what_is_random_is_no_module(name: str) -> None:
 
 
 def test_a_medium_has_its_own_daylight_unless_lamps_are_asked_for() -> None:
-    assert RandomUnderwater("II").light == RandomLight()
-    for water in (FIT, ["II", FIT]):
-        assert RandomUnderwater(water).light is None
+    for water, usual in (("II", RandomLight()), (FIT, None), (["II", FIT], None)):
+        records = [
+            aug.make_params(picture(64), torch.Generator().manual_seed(0))
+            for aug in (RandomUnderwater(water), RandomUnderwater(water, light=usual))
+        ]
+        assert records[0] == records[1]
         for light in (RandomLight(), RandomLight(share=0.5)):
             aug = RandomUnderwater(water, light=light)
             assert RandomUnderwater.from_dict(aug.to_dict()).light == aug.light == light
