@@ -541,18 +541,14 @@ def test_plain_pictures_have_nothing_random(folder, run):
 def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run):
     planar = torch.linspace(1, 4, 24 * 32).reshape(1, 24, 32)
     np.save("planar.npy", planar[0].numpy())
-    np.save("along.npy", uwaug.distance.along_ray(planar, 25.0)[0].numpy())
+    np.save("along.npy", uwaug.distance.along_ray(planar, 0.866 * 32)[0].numpy())
     line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--distance")
-    assert run(*line, "planar.npy", "--set", "distance.focal_px=25", "--out", "a.npy")[0] == 0
+    assert run(*line, "planar.npy", "--set", "distance.planar=true", "--out", "a.npy")[0] == 0
     assert run(*line, "along.npy", "--out", "b.npy")[0] == 0
     assert run(*line, "planar.npy", "--out", "c.npy")[0] == 0
     made, wanted, flat = (np.load(f"{name}.npy").astype(int) for name in "abc")
     assert np.abs(made - wanted).max() == 0
     assert np.abs(flat - wanted).max() > 5
-    # millimetres of a lens are no pixels
-    code, _, err = run(*line, "planar.npy", "--set", "distance.focal_px=2.8", "--out", "d.npy")
-    assert code == 1
-    assert "focal_px must be in px of the picture, got 2.8: a lens of f mm" in err
 
 
 @pytest.mark.parametrize("films", [1, 4])

@@ -32,7 +32,7 @@ def test_nor_in_scenes_of_other_shapes_and_distances(
     z = torch.linspace(nearest, farthest, shape[0] * shape[1]).reshape(1, *shape)
     z[0, 0] = rest
     note = "Drawn at 1000×500 of 20000×10000 px. 0.0017 % of the distances were unknown."
-    scene = Scene(torch.rand(3, *shape), z, None, note)
+    scene = Scene(torch.rand(3, *shape), z, note=note)
     draw = demo.own_pictures(preset_case("tank-proposed-4", load_preset("tank-proposed-4")))[name]
     assert require_room(lambda: draw(scene), monkeypatch) > 10
 

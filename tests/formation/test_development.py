@@ -244,3 +244,9 @@ def test_gradients_of_black_and_bright_pictures(stage: str, colour: tuple[float,
     degrade(image, z).sum().backward()
     for leaf in (image, z):
         assert math.isfinite(float(leaf.grad.abs().max()))
+
+
+def test_a_balance_of_two_numbers_is_refused() -> None:
+    """The loops would read past their array."""
+    with pytest.raises(TypeError, match="white_balance must be three numbers, got"):
+        Development(white_balance=(2.0, 1.0))

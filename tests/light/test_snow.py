@@ -251,7 +251,7 @@ def test_in_copies_and_records() -> None:
     assert medium.expand(3).snow == (SNOW,) * 3
     assert medium.to(torch.float32).snow == medium.under_lamp().snow == (SNOW,)
     plain = json.loads(json.dumps(codec.to_plain(both)))
-    assert codec.from_plain(plain).snow == both.snow
+    assert codec.from_plain(plain, Medium).snow == both.snow
     assert medium.with_snow(None).snow == Medium.stack([WATER, WATER]).snow == ()
 
 

@@ -1,6 +1,7 @@
 """The runner of exported files."""
 
 import copy
+import json
 import multiprocessing
 import os
 import pickle
@@ -15,6 +16,7 @@ from torch.utils.data import DataLoader
 
 from uwaug import Medium, PointSpread, Underwater
 from uwaug.onnx import OnnxUnderwater, check_onnx, read_metadata
+from uwaug.onnx.run import module_of
 
 # by its version: without the package, "onnx" would be the folder of these tests
 pytest.importorskip("onnx", minversion="1.17")
@@ -140,3 +142,9 @@ def test_what_is_no_model_is_refused(tmp_path) -> None:
             call(tmp_path / "no.onnx")
         with pytest.raises(FileNotFoundError):
             call(tmp_path / "missing.onnx")
+
+
+def test_metadata_of_a_stranger_make_no_network() -> None:
+    stored = {"medium": {"kind": "Network", "model": "stranger/repository:beacon.onnx"}}
+    with pytest.raises(ValueError, match=r"kind must be .*Medium.*, got 'Network'"):
+        module_of("x.onnx", {"uwaug_module": json.dumps(stored)})

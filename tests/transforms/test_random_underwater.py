@@ -433,15 +433,21 @@ def test_what_is_random_is_no_module(name: str) -> None:
 
 
 def test_a_medium_has_its_own_daylight_unless_lamps_are_asked_for() -> None:
-    for water, usual in (("II", RandomLight()), (FIT, None), (["II", FIT], None)):
-        records = [
-            aug.make_params(picture(64), torch.Generator().manual_seed(0))
-            for aug in (RandomUnderwater(water), RandomUnderwater(water, light=usual))
-        ]
-        assert records[0] == records[1]
+    def lit(aug: RandomUnderwater) -> bool:
+        record = aug.make_params(picture(300), torch.Generator().manual_seed(0))
+        return any("rig" in sample["light"] for sample in record["samples"])
+
+    default = RandomUnderwater("II")
+    assert lit(default)
+    for water in (FIT, ["II", FIT]):
+        # as it is, and after a process or a file
+        for twin in (default, pickle.loads(pickle.dumps(default))):
+            assert not lit(replace(twin, water=RandomWater(water)))
+        assert not lit(RandomUnderwater(water))
         for light in (RandomLight(), RandomLight(share=0.5)):
             aug = RandomUnderwater(water, light=light)
             assert RandomUnderwater.from_dict(aug.to_dict()).light == aug.light == light
+            assert lit(aug)
 
 
 @pytest.mark.usefixtures("nothing_is_said")

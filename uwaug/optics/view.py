@@ -13,6 +13,9 @@ from uwaug._support.codec import plain
 Vector = tuple[float, float, float]
 Size = tuple[int, int]
 
+_WIDEST = 8.0
+"""Largest width of a picture in focal lengths: 152°, wider than any view without fisheye."""
+
 
 @plain
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class View:
     @staticmethod
     def of(value: "View | float") -> "View":
         """A view, or one of so many degrees."""
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
+        if isinstance(value, (int, float)):
             return View(value)
         checks.instance("view", value, View, "; or give its angle in degrees")
         return value
@@ -58,6 +61,10 @@ class View:
     def focal(self, width: Any) -> Any:
         """Focal length, px, in a picture of this width, px."""
         if self.focal_px is not None:
+            if isinstance(width, int) and width > _WIDEST * self.focal_px:
+                cure = f"a lens of f mm before a sensor w mm wide has f/w·{width} px"
+                got = f"view: focal_px must be in px of the picture, got {self.focal_px:g}"
+                raise ValueError(f"{got}: {cure}")
             return self.focal_px
         return width / (2 * math.tan(math.radians(self.degrees / 2)))
 
