@@ -263,6 +263,6 @@ def test_small_pictures_are_seen_as_the_whole_ones(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(RandomUnderwater, "transform", looked)
     augment = RandomUnderwater(view=View(focal_px=277.0))
     large = torch.nn.functional.interpolate(pictures(2), (8 * H, 8 * W))
-    like = uwaug.like(GREEN, large, maps(2).expand(2, 1, H, W), augment, **FEW)
+    like = uwaug.like(GREEN, large, maps(2), augment=augment, **FEW)
     assert angles == {round(277 / (8 * W), 6)}
     assert like.view == augment.view
