@@ -15,6 +15,7 @@ import uwaug
 from uwaug.distance import MadeUp, Metres, Plane, Relative
 from uwaug.files import Recipe, find_items
 from uwaug.files.prepare import prepare
+from uwaug.optics.view import WIDE
 from uwaug.transforms.random_underwater import SEVERITIES
 
 
@@ -541,7 +542,7 @@ def test_plain_pictures_have_nothing_random(folder, run):
 def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run):
     planar = torch.linspace(1, 4, 24 * 32).reshape(1, 24, 32)
     np.save("planar.npy", planar[0].numpy())
-    np.save("along.npy", uwaug.distance.along_ray(planar, 0.866 * 32)[0].numpy())
+    np.save("along.npy", uwaug.distance.along_ray(planar, WIDE.focal(32))[0].numpy())
     line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--distance")
     assert run(*line, "planar.npy", "--set", "distance.planar=true", "--out", "a.npy")[0] == 0
     assert run(*line, "along.npy", "--out", "b.npy")[0] == 0
