@@ -19,6 +19,8 @@ from uwaug.cli.console import (
 )
 
 if TYPE_CHECKING:
+    from PIL import Image
+
     from uwaug.figures.demo import Case
     from uwaug.presets.scene import Scene
 
@@ -95,7 +97,7 @@ def _draw_into(out: Path, scene: "Scene", case: "Callable[[Scene], Case]", force
     from uwaug.figures.demo import draw_terms, draw_waters
     from uwaug.figures.sheet import save
 
-    sheets = {
+    sheets: dict[Path, Callable[[], Image.Image]] = {
         out / "1-waters.jpg": lambda: draw_waters(scene),
         out / "2-terms.jpg": lambda: draw_terms(scene, case(scene)),
     }

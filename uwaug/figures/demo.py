@@ -1,8 +1,10 @@
 """Sheets that show the model on a scene, the demo's or the user's: a function each."""
 
+import io
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from PIL import Image
 from torch import Tensor
@@ -150,14 +152,12 @@ def _distance(z: Tensor) -> Cell:
 
 def _curves(medium: Medium, farthest: float) -> Tensor:
     """The picture of a medium's curves."""
-    import numpy as np
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     from uwaug.fitting.plot import draw_curves
 
     figure = Figure(_CURVES_IN, dpi=200, layout="constrained")
     draw_curves(figure.subplots(), medium, farthest)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return torch.from_numpy(np.array(canvas.buffer_rgba())[..., :3]).permute(2, 0, 1)
+    png = io.BytesIO()
+    figure.savefig(png)
+    return torch.from_numpy(np.array(Image.open(png).convert("RGB"))).permute(2, 0, 1)

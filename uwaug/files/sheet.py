@@ -46,7 +46,7 @@ def drawn_sheet(
     sample = [(file, after[:_MAX_VARIANTS]) for file, after in variants[::step][:_MAX_PICTURES]]
     columns = 1 + max(len(after) for _, after in sample)
     across = min(len(sample), max(1, _MAX_COLUMNS // columns))
-    rows = [
+    rows: list[Iterator[Cell]] = [
         chain.from_iterable(group(*pair) for pair in sample[i : i + across])
         for i in range(0, len(sample), across)
     ]
