@@ -71,6 +71,13 @@ class View:
         """Column and row, px, of the axis in a picture of (height, width) `size`."""
         return self.center or ((size[1] - 1) / 2, (size[0] - 1) / 2)
 
+    def planar(self, width: int) -> dict[str, Any]:
+        """Focal length and centre as `uwaug.distance.along_ray` takes them, which counts px from
+        the corner of the first pixel.
+        """
+        center = None if self.center is None else tuple(place + 0.5 for place in self.center)
+        return {"focal_px": self.focal(width), "center": center}
+
     def crop(self, size: Size, left: int, top: int) -> "View":
         """The view of a crop that begins at a column and a row of a picture of (height, width)."""
         column, row = self.middle(size)
