@@ -24,13 +24,12 @@ def drawn_sheet(
     beside: Sequence[Path] = (),
 ) -> bytes:
     """A JPEG of pictures, each with its variants to the right, and names and captions below; then
-    of photographs for comparison.
+    of photographs to compare.
 
     Args:
         variants: the file of each picture, with the files of its variants.
-        read: function that gives the picture (3xHxW) of a variant's file.
-        caption: function that gives its caption, two lines at most.
-        beside: files of the photographs, of which some are drawn.
+        read, caption: functions that give the picture (3xHxW) and the caption of a variant's file.
+        beside: files of the photographs.
     """
     step = max(1, (len(variants) - 1) // max(1, _MAX_PICTURES - 1))
     sample = variants[::step][:_MAX_PICTURES]
@@ -44,13 +43,11 @@ def drawn_sheet(
     for number, files in enumerate(groups):
         y, x = number // across * cell[1], number % across * cell[0]
         for column, file in enumerate(files):
-            is_result = column > 0 and number < len(sample)
-            words = "real" * (number >= len(sample))
-            picture, words = (
-                (read(file), caption(file))
-                if is_result
-                else (read_picture(file, background="white"), words)
-            )
+            if column > 0 and number < len(sample):
+                picture, words = read(file), caption(file)
+            else:
+                picture = read_picture(file, background="white")
+                words = "" if number < len(sample) else "real"
             sheet.paste(_small(picture), (x, y))
             sheet.paste(_label(file.name, words), (x, y + _HEIGHT_PX))
             x += _WIDTH_PX
