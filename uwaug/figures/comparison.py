@@ -18,17 +18,8 @@ if TYPE_CHECKING:
 def draw_comparison(
     scene: Scene, water: str, systems: Sequence[str] = (), *, stretch: float = 1.0
 ) -> "Figure":
-    """Draw a scene, its picture by uwaug and by each published system, with their mean colours.
-
-    Args:
-        scene: picture and distances.
-        water: see `uwaug.published.picture`.
-        systems: see `uwaug.published.system`; all of `uwaug.published.systems` by default.
-        stretch: factor of all distances; below 1 it brings the scene nearer, where murky water
-            would leave nothing of it.
-
-    Raises:
-        ValueError: if a system or the water is unknown, or the stretch is not above 0.
+    """Draw a scene, its picture by uwaug and by each published system (all by default), with their
+    mean colours; `stretch` is a factor of all distances.
     """
     checks.positive("stretch", stretch)
     if stretch != 1:

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -37,8 +38,7 @@ from uwaug.transforms.random_underwater import RandomUnderwater
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_DEPTH_M = 5.0
-"""Depth (m) below the surface of scenes in waters."""
+_DEPTH_M = 5.0  # below the surface, of scenes in waters
 
 SETTING = (
     f"Scene {_DEPTH_M:g} m deep, surfaces with spectra, a camera with its colour matrix and an "
@@ -48,24 +48,17 @@ SETTING = (
 
 _COASTAL_TYPE = "1C"
 
+# radius of half of the light, in σ
 _HALF_LIGHT_RADIUS = {"gaussian": math.sqrt(2 * math.log(2)), "exponential": math.sqrt(3)}
-"""Radius of half of the light, in σ."""
 
 
 class Case(NamedTuple):
-    """Medium and camera in which the terms are drawn.
+    """Medium and camera in which the terms are drawn."""
 
-    Attributes:
-        name: of the water, for the heading.
-        setting: place of the scene in it, for the caption.
-        module: medium and camera.
-        field_range: least and largest value of the medium field.
-    """
-
-    name: str
-    setting: str
+    name: str  # of the water, for the heading
+    setting: str  # place of the scene in it, for the caption
     module: Underwater
-    field_range: tuple[float, float]
+    field_range: tuple[float, float]  # of the medium field
 
 
 def water_case(water: Water, scene: Scene, field_range: tuple[float, float] = (1.0, 1.0)) -> Case:
@@ -79,28 +72,22 @@ def preset_case(name: str, preset: RandomUnderwater) -> Case:
     only = preset.module()
     if only.light is not None:
         raise ValueError(f"{name}: sheets of terms are by daylight, but it has a light of its own")
-    module = Underwater(
-        only.medium, None, color_space=only.color_space, development=only.development
-    )
+    options = {"color_space": only.color_space, "development": only.development}
+    module = Underwater(only.medium, None, **options)
     setting = f"Preset {name}: {only.medium.notes[0]}"
     return Case(f"preset {name}", setting, module, preset.water.field or (1.0, 1.0))
 
 
 def in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
     """Make a module of waters, 5 m deep, with spectral surfaces and the calibrated width law."""
-    law = PointSpread.calibrated()
-    media = (
-        Medium.from_water(
-            water,
-            vertical_depth=_DEPTH_M,
-            g=Scattering.CALIBRATED.g,
-            point_spread=law,
-            surfaces="spectral",
-        )
-        for water in waters
-    )
-    camera = Development("auto", gamut=1.0)
-    return Underwater(Medium.stack(media), None, development=camera, view=scene.view)
+    options: dict[str, Any] = {
+        "vertical_depth": _DEPTH_M,
+        "g": Scattering.CALIBRATED.g,
+        "point_spread": PointSpread.calibrated(),
+        "surfaces": "spectral",
+    }
+    media = Medium.stack(Medium.from_water(water, **options) for water in waters)
+    return Underwater(media, None, development=Development("auto", gamut=1.0), view=scene.view)
 
 
 def draw_contact_sheet(scene: Scene) -> "Figure":
@@ -128,8 +115,8 @@ def draw_terms(scene: Scene, case: Case) -> "Figure":
     heading = f"The terms of the image, {case.name}"
     figure, axes = sheet(scene, 8, heading, f"{caption}\n{case.setting}.")
     rng, (low, high) = torch.Generator().manual_seed(4), case.field_range
-    size = (scene.image.shape[-2], scene.image.shape[-1])
-    field = gaussian_random_field(size, low=low, high=high, generator=rng)[0]
+    height, width = scene.image.shape[-2:]
+    field = gaussian_random_field((height, width), low=low, high=high, generator=rng)[0]
     z = scene.distance * field
     J = decoded(scene.image, module.color_space)
     gain = module.development.gain(J[None], z[None].clamp(max=1e9), medium.to(J))
@@ -205,9 +192,8 @@ def draw_width_laws(scene: Scene) -> "Figure":
         (axes[7], "Paper's law", paper, RGB[2]),
         (axes[8], "Calibrated law", calibrated, RGB[0]),
     ):
-        columns.append(
-            (label, Underwater(medium, None, view=scene.view)(scene.image, scene.distance))
-        )
+        picture = Underwater(medium, None, view=scene.view)(scene.image, scene.distance)
+        columns.append((label, picture))
         light = decoded(scene.image, "srgb")
         forward = form_image(light, scene.distance, medium, view=scene.view).forward
         show(axis, linear_to_srgb(forward), f"{label}, forward scatter alone")
@@ -238,10 +224,8 @@ PICTURES: "dict[str, Callable[[Scene], Figure]]" = {
 
 
 def own_pictures(case: Case) -> "dict[str, Callable[[Scene], Figure]]":
-    """Files for a user's scene, and the functions that draw them. The demo's other sheets need
+    """Files for a user's scene, and the functions that draw them: the demo's other sheets need
     relative distances or a focal length.
     """
-    return {
-        "1-waters.jpg": draw_contact_sheet,
-        "2-terms.jpg": lambda scene: draw_terms(scene, case),
-    }
+    terms = partial(draw_terms, case=case)
+    return {"1-waters.jpg": draw_contact_sheet, "2-terms.jpg": terms}

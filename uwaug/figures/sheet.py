@@ -20,26 +20,18 @@ RGB = ("#c0392b", "#2e8b57", "#2a5caa")
 
 _DPI, _WIDTH = 100, 1400  # px
 _MARGIN, _GAP, _LABEL, _HEADER = 32, 18, 30, 92  # px
-_LINE_PX = 20
-"""Height of a caption's line."""
-
-_LOW_PX = 130
-"""Least height of a cell that has room for letters."""
-
-_SMALLEST_PT = 6.0
-"""Least size of a label's letters, where it would leave its cell."""
-
+_LINE_PX = 20  # height of a caption's line
+_LOW_PX = 130  # least height of a cell that has room for letters
+_SMALLEST_PT = 6.0  # letters of a label that would leave its cell
 _TITLE_STYLE: dict[str, Any] = {"loc": "left", "fontsize": 12.5, "color": INK}
-
-_AS_WRITTEN: dict[str, Any] = {"parse_math": False}
-"""Style of texts from users, such as names of files: a $ stays a $."""
+_AS_WRITTEN: dict[str, Any] = {"parse_math": False}  # names of files: a $ stays a $
 
 
 def sheet(
     scene: Scene, cells: int, heading: str, caption: str, columns: int | None = None
 ) -> tuple["Figure", list["Axes"]]:
-    """Make at least so many cells, row by row, each of the shape of a scene's picture, below a
-    heading and a caption. By default 4 stand side by side, or fewer panoramas.
+    """Make at least so many cells, row by row, of the shape of a scene's picture, below a heading
+    and a caption. By default 4 stand side by side, or fewer panoramas.
     """
     from matplotlib.figure import Figure
 
