@@ -63,7 +63,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "network": {"distance": Network(brightness)},
     "made up": {"distance": MadeUp()},
     "half": {"p": 0.5},
-    "fill": {"distance": Metres("fill", (40.0, 41.0))},
+    "fill": {"distance": Metres("fill", True)},
     "keys": {"keys": ("rgb", "range")},
     "linear": {"development": RandomDevelopment(color_space="linear")},
     "night": {"light": RandomLight(share=0.5)},

@@ -78,7 +78,7 @@ def test_in_pictures(way: str, water: str) -> None:
 def test_the_loops_form_it_too() -> None:
     medium = glowing(WATERS["spectral"])
     degrade = Underwater(medium, None, development=Development("auto", saturation=1.2))
-    assert fast.can(IMAGE, DISTANCE, medium, None, degrade.development)
+    assert fast.can(IMAGE, DISTANCE, degrade.setting(medium))
     exact = degrade(IMAGE.double(), DISTANCE.double())
     torch.testing.assert_close(degrade(IMAGE, DISTANCE).double(), exact, rtol=0, atol=1e-5)
 
@@ -142,9 +142,9 @@ def test_a_gain_multiplies_it(gain: Any) -> None:
 def test_in_records() -> None:
     medium = glowing(CLEAR)
     plain = json.loads(json.dumps(to_plain(medium)))
-    assert torch.equal(from_plain(plain).glow, GLOW)
+    assert torch.equal(from_plain(plain, Medium).glow, GLOW)
     del plain["glow"]
-    assert torch.equal(from_plain(plain).glow, 0 * GLOW)
+    assert torch.equal(from_plain(plain, Medium).glow, 0 * GLOW)
     augment = RandomUnderwater(medium)
     again = RandomUnderwater.from_dict(json.loads(json.dumps(augment.to_dict())))
     assert torch.equal(again.water.waters.glow, GLOW)

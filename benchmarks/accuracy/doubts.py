@@ -1,8 +1,8 @@
 """Which maps does `uwaug.distance.doubts` question? True ones, and the same falsified.
 
-Of each map 20 crops (half to all of a side; half of them mirrored, where none is shifted) are
-judged one by one, as they are and falsified. Maps are the bundled scene's; `--folder` adds
-`NAME_rgb.png` with `NAME_depth_mm.png` (16 bits, 0 = unknown).
+Of each map 20 crops (half to all of a side; half of them mirrored) are judged one by one,
+as they are and falsified. Maps are the bundled scene's; `--folder` adds `NAME_rgb.png` with
+`NAME_depth_mm.png` (16 bits, 0 = unknown).
 """
 
 import argparse
@@ -60,8 +60,6 @@ FALSIFIED: dict[str, tuple[str, Callable[[Tensor], Tensor]]] = {
 }
 """What is done to a map, by name, and a word of the sentence that is wanted."""
 
-SHIFTS = (0.05, 0.08, 0.12)
-
 
 def maps(folder: Path | None) -> Iterator[tuple[str, Tensor, Tensor]]:
     """Names, pictures (3xHxW) and distances (1xHxW, m)."""
@@ -75,20 +73,16 @@ def maps(folder: Path | None) -> Iterator[tuple[str, Tensor, Tensor]]:
 
 
 def crops(
-    image: Tensor, z: Tensor, count: int, rng: np.random.Generator, shift: float = 0.0
+    image: Tensor, z: Tensor, count: int, rng: np.random.Generator
 ) -> Iterator[tuple[Tensor, Tensor]]:
-    """Parts of a picture and of its map, which is taken elsewhere by a share of the part's side."""
+    """Parts of a picture and of its map."""
     height, width = z.shape[-2:]
-    move_down = int(rng.integers(0, 2))
     for _ in range(count):
-        share = rng.uniform(0.5, 0.8 if shift else 1.0)
+        share = rng.uniform(0.5, 1.0)
         h, w = int(share * height), int(share * width)
-        move = round(shift * min(h, w))
-        down, right = move * move_down, move
-        top, left = (int(rng.integers(0, n + 1)) for n in (height - h - down, width - w - right))
-        part = image[:, top : top + h, left : left + w]
-        own = z[:, top + down : top + down + h, left + right : left + right + w]
-        yield (part.flip(-1), own.flip(-1)) if rng.random() < 0.5 and not shift else (part, own)
+        top, left = (int(rng.integers(0, n + 1)) for n in (height - h, width - w))
+        part, own = (x[:, top : top + h, left : left + w] for x in (image, z))
+        yield (part.flip(-1), own.flip(-1)) if rng.random() < 0.5 else (part, own)
 
 
 def main(quick: bool, folder: Path | None = None) -> dict[str, Any]:
@@ -113,9 +107,6 @@ def main(quick: bool, folder: Path | None = None) -> dict[str, Any]:
         for name, (word, falsified) in FALSIFIED.items():
             flipped = name == "upside down"
             judge(name, word, [(x.flip(-2) if flipped else x, falsified(y)) for x, y in parts])
-        for shift in SHIFTS:
-            name = f"shifted by {100 * shift:.0f} %"
-            judge(name, "moved", list(crops(image, z, count, rng, shift)))
     rows = {
         name: {key: float(np.mean(votes)) for key, votes in case.items()}
         | {"count": len(case["caught"])}

@@ -14,11 +14,15 @@ from uwaug import (
     Constituents,
     Development,
     PointSpread,
+    RandomDevelopment,
+    RandomLight,
+    RandomUnderwater,
     RandomWater,
     Water,
     load_camera,
 )
 from uwaug._support import codec
+from uwaug.distance import Network
 
 LAW = PointSpread(0.5, 0.7, "exponential")
 VALUES = {
@@ -28,15 +32,18 @@ VALUES = {
     "water": Water.jerlov("5C").with_contrast(0.2, 3),
     "camera": load_camera("Sigma SDMerill (NPL)"),
     "camera with a matrix": Camera([400, 700], [[0, 1, 1], [1, 1, 0]], "own", np.eye(3) + 0.1),
-    "all at once": ("a", (1, 2.5, None, True), {"law": PointSpread(2.0)}),
+    "all at once": ("a", (1, 2.5, None, True), PointSpread(2.0)),
 }
+
+
+CLASSES = (PointSpread, Development, Constituents, Water, Camera)
 
 
 @pytest.mark.parametrize("name", VALUES)
 def test_there_and_back_as_json(name: str) -> None:
     value = VALUES[name]
     stored = json.loads(json.dumps(codec.to_plain(value)))
-    assert codec.from_plain(stored) == value
+    assert codec.from_plain(stored, *CLASSES) == value
 
 
 def test_what_is_as_by_default_is_not_stored() -> None:
@@ -65,13 +72,29 @@ def test_what_cannot_be_written(value: Any) -> None:
 @pytest.mark.parametrize(
     "data, expected, message",
     [
-        ({"kind": "Sea"}, (), "kind must be .*PointSpread.*, got 'Sea'"),
+        ({"kind": "Sea"}, CLASSES, "kind must be .*PointSpread.*, got 'Sea'"),
         ({"kind": "Development"}, (PointSpread,), "kind must be PointSpread, got 'Development'"),
-        ({"kind": "pointspread"}, (), "got 'pointspread': did you mean PointSpread"),
-        ({"kind": "PointSpread", "width": 2}, (), "PointSpread has no 'width', only scale, exp"),
+        ({"kind": "pointspread"}, (PointSpread,), "got 'pointspread': did you mean PointSpread"),
+        (
+            {"kind": "PointSpread", "width": 2},
+            (PointSpread,),
+            "PointSpread has no 'width', only sc",
+        ),
         ({"scale": 1, "sahpe": "gaussian"}, (PointSpread,), "'sahpe', .*: did you mean shape?"),
-        ({"kind": "PointSpread", "shape": "gaussian"}, (), "PointSpread: .*missing.*'scale'"),
-        ({"kind": "PointSpread", "scale": -2}, (), "PointSpread.scale must be"),
+        ({"kind": "PointSpread", "shape": "gaussian"}, CLASSES, "PointSpread: .*missing.*'scale'"),
+        ({"kind": "PointSpread", "scale": -2}, (PointSpread,), "PointSpread.scale must be"),
+        ({"kind": "PointSpread", "scale": 2}, (), "no object is expected here, got 'PointSpread'"),
+        ({"a": {"b": {"kind": "PointSpread", "scale": 2}}}, (), "no object is expected here"),
+        ({"metered": "perhaps"}, (RandomDevelopment,), "metered must be true or false, got 'per"),
+        ({"metered": 0}, (RandomDevelopment,), "metered must be true or false, got 0"),
+        ({"noise": {"seed": 1, "full_well": True}}, (RandomDevelopment,), "full_well must be"),
+        ({"multiple": 2.5}, (Network,), "multiple must be a whole number, got 2.5"),
+        ({"p": True}, (RandomUnderwater,), "p must be a number, got True"),
+        (
+            {"distance": {"kind": "Water"}},
+            (RandomUnderwater,),
+            "kind must be .* got 'Water'",
+        ),
     ],
 )
 def test_what_cannot_be_read(data: Any, expected: tuple[type, ...], message: str) -> None:
@@ -82,12 +105,25 @@ def test_what_cannot_be_read(data: Any, expected: tuple[type, ...], message: str
 def test_none_is_a_word_where_a_field_may_be_none() -> None:
     plain = {"kind": "RandomWater", "field": "none"}
     assert codec.to_plain(RandomWater(field=None)) == plain
-    assert codec.from_plain(plain).field is None
+    assert codec.from_plain(plain, RandomWater).field is None
     with pytest.raises(ValueError, match="got 'none'"):
-        codec.from_plain({"kind": "RandomLight", "share": "none"})
+        codec.from_plain({"share": "none"}, RandomLight)
 
 
 def test_a_name_stands_for_one_class() -> None:
     with pytest.raises(TypeError, match=r"'PointSpread' is taken by uwaug\.optics\.point_spread"):
         codec.plain(dataclass(type("PointSpread", (), {})))
-    assert codec.from_plain({"kind": "PointSpread", "scale": 2.0}) == PointSpread(2.0)
+    assert codec.from_plain({"scale": 2.0}, PointSpread) == PointSpread(2.0)
+
+
+@pytest.mark.parametrize("word, truth", [("False", False), ("off", False), ("On", True)])
+def test_words_for_truth(word: str, truth: bool) -> None:
+    assert codec.from_plain({"metered": word}, RandomDevelopment).metered is truth
+
+
+def test_deep_nesting_is_refused() -> None:
+    deep: Any = 1
+    for _ in range(5000):
+        deep = [deep]
+    with pytest.raises(ValueError, match="nested too deeply"):
+        codec.from_plain({"p": deep}, RandomUnderwater)

@@ -15,6 +15,7 @@ import uwaug
 from uwaug.distance import MadeUp, Metres, Plane, Relative
 from uwaug.files import Recipe, find_items
 from uwaug.files.prepare import prepare
+from uwaug.optics.view import WIDE
 from uwaug.transforms.random_underwater import SEVERITIES
 
 
@@ -542,18 +543,14 @@ def test_plain_pictures_have_nothing_random(folder, run):
 def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run):
     planar = torch.linspace(1, 4, 24 * 32).reshape(1, 24, 32)
     np.save("planar.npy", planar[0].numpy())
-    np.save("along.npy", uwaug.distance.along_ray(planar, 25.0)[0].numpy())
+    np.save("along.npy", uwaug.distance.along_ray(planar, WIDE.focal(32))[0].numpy())
     line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--distance")
-    assert run(*line, "planar.npy", "--set", "distance.focal_px=25", "--out", "a.npy")[0] == 0
+    assert run(*line, "planar.npy", "--set", "distance.planar=true", "--out", "a.npy")[0] == 0
     assert run(*line, "along.npy", "--out", "b.npy")[0] == 0
     assert run(*line, "planar.npy", "--out", "c.npy")[0] == 0
     made, wanted, flat = (np.load(f"{name}.npy").astype(int) for name in "abc")
     assert np.abs(made - wanted).max() == 0
     assert np.abs(flat - wanted).max() > 5
-    # millimetres of a lens are no pixels
-    code, _, err = run(*line, "planar.npy", "--set", "distance.focal_px=2.8", "--out", "d.npy")
-    assert code == 1
-    assert "focal_px must be in px of the picture, got 2.8: a lens of f mm" in err
 
 
 @pytest.mark.parametrize("films", [1, 4])
@@ -572,3 +569,49 @@ def test_frames_of_a_film_are_one_witness(tmp_path, monkeypatch, films):
     assert ("look like disparity" in told) == (films == 4)
     told = " ".join(prepare(replace(recipe, sequence=False), items)[1])
     assert "frames of one scene are one witness (--sequence)" in told
+
+
+def test_a_meter_that_is_switched_off_in_words(folder, run):
+    for word in ("False", "off", "no"):
+        line = (
+            "degrade",
+            "photos/a.png",
+            "--distance",
+            "2",
+            "--set",
+            f"development.metered={word}",
+        )
+        code, _, err = run(*line, "--out", f"{word}.png")
+        assert (code, err) == (0, "")
+        recipe = json.loads(Path(f"{word}.png.json").read_text())["recipe"]
+        assert recipe["transform"]["development"]["metered"] is False
+
+
+def test_the_view_of_the_camera(folder, run):
+    line = (
+        "degrade",
+        "photos/a.png",
+        "--distance",
+        "depth/a.png",
+        "--unit",
+        "mm",
+        "--holes",
+        "fill",
+    )
+    line = (*line, "--set", "distance.planar=true", "--out")
+    for name, flags in {"wide": (), "px": ("--focal-px", "40"), "narrow": ("--view", "20")}.items():
+        code, _, err = run(*line, f"{name}.png", *flags)
+        assert (code, err) == (0, "")
+    assert len({Path(f"{name}.png").read_bytes() for name in ("wide", "px", "narrow")}) == 3
+    code, _, err = run(*line, "d.png", "--view", "20", "--focal-px", "40")
+    assert (code, "--view and --focal-px say the same" in err) == (2, True)
+    code, _, err = run(*line, "d.png", "--focal-px", "2.8")
+    assert "focal_px must be in px of the picture, got 2.8: a lens of f mm" in err
+
+
+@pytest.mark.parametrize("flag", [("--severity", "all"), ("--contrast", ".5")])
+def test_a_medium_of_coefficients_has_no_grades(folder, run, flag):
+    line = ("degrade", "photos", *MAPS, "--preset", "tank-proposed-1", *flag, "--out", "wet")
+    code, _, err = run(*line)
+    assert (code, "a medium of coefficients stays as it is" in err) == (2, True)
+    assert not Path("wet").exists()

@@ -6,7 +6,6 @@ from itertools import product
 import pytest
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate
 
 import uwaug
 from uwaug.distance import MadeUp, cue
@@ -49,11 +48,11 @@ def cat() -> Tensor:
 @pytest.mark.parametrize("options", [{}, {"cue": "ramp"}], ids=["network", "ramp"])
 @pytest.mark.parametrize(
     ("size", "value"),
-    [*product([(1, 1), (1, 90), (90, 1), (2, 3), (40, 61), (6, 2000)], (None, 0.5))],
+    [*product([(1, 1), (90, 1), (40, 61), (6, 2000)], (None, 0.5))],
 )
 def test_every_picture_has_some_solid_ground(size, value, options) -> None:
     image = texture(*size) if value is None else torch.full((3, *size), value)
-    for scene in SCENES[::4]:
+    for scene in SCENES[::8]:
         z = made(image, scene, **options)
         assert z.shape == (1, *size)
         assert float(z.min()) > 0.999
@@ -105,13 +104,15 @@ def test_the_number_of_threads_changes_nothing() -> None:
         torch.testing.assert_close(z, maps[0], rtol=1e-5, atol=0)
 
 
-@pytest.mark.parametrize("options", [{}, {"cue": "ramp"}], ids=["network", "ramp"])
-@pytest.mark.parametrize("width", [451, 64, 17])
-def test_a_mirrored_picture_gets_the_mirrored_map(width, options) -> None:
-    image = interpolate(cat()[None].float() / 255, (60, width), mode="area")[0]
-    for scene in SCENES:
-        z = made(image.flip(2), scene, **options).flip(2)
-        torch.testing.assert_close(z, made(image, scene, **options), rtol=1e-3, atol=0)
+@pytest.mark.parametrize("size", [(1, 40), (61, 1), (57, 83)])
+@pytest.mark.parametrize("white", [255, 1])
+def test_without_numba_it_is_the_same(size, white, monkeypatch) -> None:
+    pytest.importorskip("numba")
+    image = (255 * texture(*size)).byte() if white == 255 else texture(*size)
+    loops = [made(image, scene) for scene in SCENES[::12]]
+    monkeypatch.setenv("UWAUG_FAST", "0")
+    for z, scene in zip(loops, SCENES[::12], strict=True):
+        torch.testing.assert_close(z, made(image, scene), rtol=1e-4, atol=0)
 
 
 def test_the_sky_is_open_water_in_three_of_four() -> None:
@@ -129,7 +130,7 @@ def test_a_cat_has_no_open_water_and_is_nearer_than_what_is_behind() -> None:
 
 def test_what_is_plain_has_no_steps() -> None:
     plain = torch.full((3, 240, 360), 0.4)
-    for scene in SCENES:
+    for scene in SCENES[::3]:
         light = torch.exp(-made(plain, scene)[0] / 3)
         assert max(float(light.diff(dim=axis).abs().max()) for axis in (0, 1)) < 0.05
 

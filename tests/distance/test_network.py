@@ -1,16 +1,20 @@
 import math
 import pickle
 import sys
+from typing import Any
 
 import numpy as np
-import onnx
 import pytest
 import torch
 from networks import mean_of_channels, save
 from onnx import TensorProto, helper
+from PIL import Image
 from scenes import rand
 
 from uwaug.distance import Network, from_inverse
+from uwaug.distance.network import NAMED
+
+SMALL = NAMED["depth-anything-v2-small"]
 
 
 def side_lengths(path, shape) -> str:
@@ -51,7 +55,8 @@ class TestNetwork:
         [
             ((1, 3, "h", "w"), (100, 150), {}, (518, 784)),
             ((1, 3, "h", "w"), (60, 40), {"short_side": 64, "multiple": 32}, (96, 64)),
-            ((1, 3, "h", "w"), (10, 400), {"short_side": 4, "multiple": 14}, (14, 154)),
+            ((1, 3, "h", "w"), (10, 400), {"short_side": 28}, (14, 112)),
+            ((1, 3, "h", "w"), (1, 3000), {}, (14, 2072)),
             ((1, 3, 21, 33), (60, 40), {}, (21, 33)),
             (("b", 3, 21, "w"), (20, 40), {"short_side": 20, "multiple": 5}, (21, 40)),
         ],
@@ -71,32 +76,6 @@ class TestNetwork:
         depth = Network(path, mean=(0, 0, 0), std=(1, 1, 1))(image)
         assert (depth[0] - image[0])[2:-2, 2:-2].abs().max() < 2e-3
         assert from_inverse(depth, 1.0, 5.0)[0, -1, -1].item() == pytest.approx(1.0)
-
-    @pytest.mark.parametrize("shape", [(1, 8, 12, 3), ("b", "h", "w", 3)])
-    def test_colours_may_come_last_and_blue_first(self, tmp_path, shape) -> None:
-        first = save(
-            tmp_path / "red.onnx",
-            [helper.make_node("Gather", ["x", "zeroth"], ["y"], axis=3)],
-            shape,
-            constants=[helper.make_tensor("zeroth", TensorProto.INT64, [], [0])],
-        )
-        image = rand(3, 8, 12).float()
-        options = {"mean": (0, 0, 0), "std": (1, 1, 1), "short_side": 8, "multiple": 1}
-        torch.testing.assert_close(Network(first, **options)(image), image[:1])
-        torch.testing.assert_close(Network(first, bgr=True, **options)(image), image[2:])
-        model = onnx.load(first)
-        onnx.helper.set_model_props(model, {"Image.BitmapPixelFormat": "Bgr8"})
-        onnx.save(model, first)
-        torch.testing.assert_close(Network(first, **options)(image), image[2:])
-
-    def test_bytes_go_in_as_they_are(self, tmp_path) -> None:
-        nodes = [
-            helper.make_node("Cast", ["x"], ["z"], to=TensorProto.FLOAT),
-            helper.make_node("ReduceMean", ["z", "axis"], ["y"], keepdims=0),
-        ]
-        path = save(tmp_path / "n.onnx", nodes, (1, 3, 8, 8), kind=TensorProto.UINT8)
-        image = (torch.rand(3, 8, 8) * 255).round()
-        torch.testing.assert_close(Network(path)(image / 255), image.mean(0, keepdim=True))
 
     def test_pickles_with_and_without_a_session(self, tmp_path) -> None:
         network = Network(mean_of_channels(tmp_path / "n.onnx"), short_side=6, multiple=3)
@@ -141,13 +120,80 @@ class TestNetwork:
         for options in ({"short_side": 0}, {"multiple": 0}):
             with pytest.raises(ValueError, match="short_side and multiple must be at least 1, got"):
                 Network(path, **options)
-        for shape in ((1, 8, 8, 1), (1, 4, 8, 8), (3, 8, 8)):
-            with pytest.raises(ValueError, match=r"must take \(1, 3, h, w\) or \(1, h, w, 3\)"):
+        for shape in ((1, 8, 8, 3), (1, 4, 8, 8), (3, 8, 8)):
+            with pytest.raises(
+                ValueError, match=r"must take \(1, 3, h, w\) of floating point, got"
+            ):
                 Network(mean_of_channels(path, shape))(torch.rand(3, 8, 8))
         network = Network(mean_of_channels(path, ("b", "c", "h", "w")))
         assert network(torch.rand(3, 8, 8)).shape == (1, 8, 8)
         copied = helper.make_node("Identity", ["x"], ["y"])
         colours = save(tmp_path / "colours.onnx", [copied], (1, 3, "h", "w"), 4)
-        message = r"must give \(1, h, w\), .*, got \(1, 3, 8, 8\)"
+        message = r"must give \(1, h, w\) or .*, got \(1, 3, 8, 8\)"
         with pytest.raises(ValueError, match=message):
             Network(colours, short_side=8, multiple=8)(torch.rand(3, 8, 8))
+
+
+@pytest.fixture
+def hub(tmp_path, monkeypatch) -> list[Any]:
+    """A hub that has one network, or the errors that are put into the list; and its requests."""
+    asked: list[Any] = []
+    path = mean_of_channels(tmp_path / "n.onnx")
+
+    def download(*file: str, revision: str | None) -> str:
+        if asked and isinstance(asked[-1], Exception):
+            raise asked[-1]
+        asked.append((*file, revision))
+        return path
+
+    monkeypatch.setattr("huggingface_hub.hf_hub_download", download)
+    return asked
+
+
+@pytest.mark.parametrize(
+    "model, revision, expected",
+    [
+        ("depth-anything-v2-small", "v1", (*SMALL[0].split(":"), "v1")),
+        ("depth-anything-v2-small", None, (*SMALL[0].split(":"), SMALL[1])),
+        ("me/mine:a/b.onnx", None, ("me/mine", "a/b.onnx", None)),
+    ],
+)
+def test_files_of_the_hub(hub, model, revision, expected) -> None:
+    network = Network(model, revision=revision, short_side=28)
+    assert not hub  # as a stranger's preset may name any
+    assert network(torch.rand(3, 28, 42)).shape == (1, 28, 42)
+    assert hub == [expected]
+
+
+@pytest.mark.parametrize("model", ["me/mine/b.onnx", "mine:b.onnx", "depth-anything-v3"])
+def test_what_is_no_address(hub, model) -> None:
+    with pytest.raises(FileNotFoundError, match=r"depth-anything-v2-small, or owner/name:file"):
+        Network(model)
+    assert not hub
+
+
+def test_what_the_hub_does_not_give(hub, run, tmp_path, monkeypatch) -> None:
+    hub.append(RuntimeError("401 Error.\n\nGated: log in"))
+    with pytest.raises(
+        FileNotFoundError, match=r"me/mine:b could not be .*: 401 Error. Gated: log"
+    ):
+        Network("me/mine:b")(torch.rand(3, 8, 8))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "photos").mkdir()
+    Image.new("RGB", (8, 8)).save("photos/a.png")
+    code, _, err = run("degrade", "photos", "--distance", "depth-anything", "--out", "wet")
+    assert code == 1
+    assert err.startswith(f"Error: {SMALL[0]} could not be fetched: 401 Error.")
+    assert not (tmp_path / "wet").exists()
+
+
+def test_no_extra(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
+    with pytest.raises(ImportError, match=r"huggingface_hub is missing: pip install \"\.\[hub\]\""):
+        Network("depth-anything-v2-small")(torch.rand(3, 8, 8))
+
+
+def test_files_and_functions_have_no_revision(tmp_path) -> None:
+    for model in (mean_of_channels(tmp_path / "net.onnx"), lambda picture: picture[:1]):
+        with pytest.raises(ValueError, match="revision is of files on the hub, got model "):
+            Network(model, revision="v1")

@@ -9,6 +9,7 @@ from torch import Tensor
 from uwaug import RandomUnderwater, RandomWater
 from uwaug.distance import Inverse, Metres, Network, Relative, Source, along_ray
 from uwaug.distance.sizes import brought_to, same_aspect
+from uwaug.optics.view import WIDE
 
 H, W = 96, 132
 
@@ -80,7 +81,7 @@ def inverse(z: Tensor) -> Tensor:
 FAR = float(scene().max())
 SOURCES: list[tuple[Source, Tensor]] = [
     (Metres(), scene()),
-    (Metres(focal_px=150.0), scene()),
+    (Metres(planar=True), scene()),
     (Inverse(1.2, FAR), inverse(scene())),
     (Relative(1.2, FAR), ((scene() - 1.2) / (FAR - 1.2)).clamp(max=1)),
 ]
@@ -101,7 +102,7 @@ def test_a_small_map_gives_nearly_the_scene_of_a_whole_one(
     away = (near / far).log().abs()
     assert away.median() < 0.01
     assert (away < 0.05).double().mean() > 0.9
-    planar = along_ray(scene(), 150.0) if source == Metres(focal_px=150.0) else scene()
+    planar = along_ray(scene(), WIDE.focal(W)) if source == Metres(planar=True) else scene()
     assert torch.allclose(far[0], planar, rtol=1e-3)
 
 

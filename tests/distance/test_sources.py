@@ -36,13 +36,21 @@ T = torch.tensor([[[0.0, 0.25, 0.5, 1.0], [0.1, 0.2, 0.3, 0.4]]])
         (Plane(), None, torch.full((1, 2, 4), 2.5)),
         (Network(lambda image: T), None, from_inverse(T, 1.0, 3.0)),
         (Network(lambda image: T + 1, Metres()), None, T + 1),
-        (Metres(focal_px=2.0), T + 1, along_ray(T + 1, 2.0)),
-        (Metres("far", (2.0, 1.5)), T, along_ray(T, (2.0, 1.5)).where(T > 0, INF)),
-        (Network(lambda image: T + 1, Metres(focal_px=2.0)), None, along_ray(T + 1, 2.0)),
+        (Metres(planar=True), T + 1, along_ray(T + 1, 2.0)),
+        (Metres("far", True), T, along_ray(T, 2.0).where(T > 0, INF)),
+        (Metres(planar=True), T[..., ::2, ::2] + 1, along_ray(T[..., ::2, ::2] + 1, 1.0)),
+        (Network(lambda image: T + 1, Metres(planar=True)), None, along_ray(T + 1, 2.0)),
     ],
 )
 def test_metres(source: Any, given: Any, expected: Any) -> None:
-    assert torch.equal(source.metres(given, IMAGE, NUMBERS), expected)
+    assert torch.equal(source.metres(given, IMAGE, NUMBERS, focal_px=2.0), expected)
+
+
+def test_planar_depth_of_a_crop_has_its_axis_elsewhere() -> None:
+    whole = Metres(planar=True).metres(T + 1, IMAGE, {}, focal_px=2.0)
+    crop = T[..., 1:] + 1, IMAGE[..., 1:]
+    part = Metres(planar=True).metres(*crop, {}, focal_px=2.0, center=(1.0, 1.0))
+    assert torch.equal(part, whole[..., 1:])
 
 
 HOLED = torch.tensor([[[1.0, 2.0, 0.0, NAN], [1.0, 2.0, 3.0, -1.0]]])
@@ -70,7 +78,7 @@ def test_relative_distance_0_is_no_hole() -> None:
 REFUSED: list[tuple[Any, Any, str]] = [
     (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: give holes="),
     (Metres(), 2000 * (T + 1), "metres.*millimetres"),
-    (Metres(focal_px=0.5), T + 1, r"px of the picture, got 0.5: a lens of f mm .* has f/w·4 px"),
+    (Metres(planar=True), T + 1, "focal_px must be finite and > 0 px, got 0.0"),
     (Metres("fill"), 0 * T, "at least one known pixel"),
     (Relative(), T + 1, r"t must lie in \[0, 1\]"),
     (Inverse(), 0 * T, "inverse must vary"),
@@ -89,8 +97,7 @@ def test_refused_maps(source: Any, given: Any, message: str) -> None:
     [
         (Metres, ("skip",), "holes must be one of error, fill, behind, far"),
         (Metres, (0.0,), "holes must be finite and > 0 m"),
-        (Metres, ("error", -1.0), "focal_px must be finite and > 0"),
-        (Metres, ("error", (500.0, 0.0)), "focal_px must be finite and > 0"),
+        (Metres, ("error", "no"), "planar must be true or false, got 'no'"),
         (Relative, ((1, 3), (2, 5)), "near must lie below far"),
         (Relative, (1, 5, 0.0), "gamma must be"),
         (Inverse, ((0.0, 1.0),), "near must lie above 0 m"),

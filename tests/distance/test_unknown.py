@@ -128,6 +128,9 @@ STRETCHED: dict[str, Tensor] = {
     "of a floor, of which a box is nearest": holed(8 / floor(), 6.0),
     "relative, stretched": (floor() - 2) / 6,
     "flat but for a box": holed(torch.ones(1, H, W), 0.0),
+    "a network's, below 0 behind": torch.where(
+        torch.arange(W) < 12, 1.5 + 0.1 * torch.rand(1, H, W), torch.linspace(-1, -0.1, H)[:, None]
+    ),
 }
 
 

@@ -1,12 +1,9 @@
 """Functions on small arrays: as compiled and as they are."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
-from uwaug import Water, fast
+from uwaug import Water
 from uwaug._support.compiled import compiled
 from uwaug.formation import demand
 from uwaug.optics import quadrature, water
@@ -56,9 +53,3 @@ def test_demand_and_contents() -> None:
     assert water._distance_to.loop(*case) == water._distance_to.function(*case) == np.inf
     case = 0.3, *case[1:]
     np.testing.assert_allclose(water._distance_to.loop(*case), water._distance_to.function(*case))
-
-
-def test_one_medium_waits_for_no_compiler() -> None:
-    code = "import sys, uwaug; uwaug.Medium.from_water('3C'); assert 'numba' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
-    assert fast.load()

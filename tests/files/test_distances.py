@@ -20,7 +20,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save("photos/a.png", pixels())
 
 
-@pytest.mark.parametrize("said", [{"unit": "cm"}, {"holes": "far"}, {"source": {"focal_px": 80}}])
+@pytest.mark.parametrize("said", [{"unit": "cm"}, {"holes": "far"}, {"source": {"planar": True}}])
 def test_metres_have_nothing_that_is_of_maps(said: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"distance is 80 m for all of a picture: unit, holes"):
         distances_of("80", **said)
@@ -56,8 +56,7 @@ def test_guesses_have_nothing_that_is_of_maps(
         ("{stem}_depth.png", {"holes": 9.0}, Metres(9.0), "{stem}_depth.png"),
         ("maps", {"source": {"kind": "Inverse"}}, Inverse(), "maps"),
         ("maps", {"source": {"kind": "Inverse"}, "holes": "far"}, Inverse(holes="far"), "maps"),
-        ("maps", {"source": {"focal_px": 525.0}}, Metres(focal_px=525.0), "maps"),
-        ("maps", {"source": {"focal_px": (9, 8)}, "holes": 2.0}, Metres(2.0, (9, 8)), "maps"),
+        ("maps", {"source": {"planar": True}, "holes": 2.0}, Metres(2.0, True), "maps"),
         # who speaks of them has maps
         (None, {"unit": "mm"}, Metres(), None),
         (None, {"holes": "fill"}, Metres("fill"), None),

@@ -26,6 +26,7 @@ from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_re
 from uwaug.files.pool import on_processes
 from uwaug.files.record import write_record
 from uwaug.files.underwater import _Underwater
+from uwaug.optics.view import WIDE
 from uwaug.transforms.samples import key_of
 
 H, W = 24, 32
@@ -104,9 +105,13 @@ def test_bytes_depend_on_neither_workers_nor_order_nor_threads() -> None:
     assert len({one[f"{number}.png"] for number in range(4)}) == 4
 
 
-# frames are 3 m away, and have a focal length of .866 of their width
+# frames are 3 m away
+WAY = (36 / WIDE.focal(W), 0.0, 0.0)
+
+
 @pytest.mark.parametrize(
-    "motion, step", [((0.02, 0.0, -0.1), (0.02, 0.0, -0.1)), ("12px", (36 / 0.866 / W, 0.0, 0.0))]
+    "motion, step",
+    [((0.02, 0.0, -0.1), (0.02, 0.0, -0.1)), ("12px", WAY)],
 )
 def test_frames_of_a_folder_share_a_draw(motion, step) -> None:
     for folder in ("one", "other"):

@@ -99,13 +99,6 @@ def test_monotone_bounded_and_exact_at_the_ends(type: str, g: float) -> None:
     torch.testing.assert_close(veil[:, -1], medium.veil_weights[0].sum(-1))
 
 
-def test_a_thin_layer_of_water_has_a_veil_in_float32() -> None:
-    medium = Medium.from_water("3C", vertical_depth=0.0)
-    z = torch.logspace(-9, -3, 13)
-    expected = torch.from_numpy(reference.medium_curves(medium, z.double().numpy()).veil)
-    torch.testing.assert_close(medium.backscatter(z)[0].double(), expected, rtol=1e-5, atol=0)
-
-
 @pytest.mark.parametrize("shape", [(), (5,), (1, 4, 6), (1, 1, 4, 6), (3, 1, 4, 6)], ids=str)
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
 def test_shapes(surfaces: str, shape: tuple[int, ...]) -> None:

@@ -113,7 +113,9 @@ class Brightness(Source):
     def ranges(self) -> dict[str, Any]:
         return {**super().ranges(), "metres a unit": (1.0, 2.0)}
 
-    def metres(self, distance: Tensor | None, image: Tensor, drawn: Mapping[str, Any]) -> Tensor:
+    def metres(
+        self, distance: Tensor | None, image: Tensor, drawn: Mapping[str, Any], **view: Any
+    ) -> Tensor:
         return drawn["power"] + drawn["metres a unit"] * image[:1]
 
 

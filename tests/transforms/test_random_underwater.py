@@ -415,7 +415,6 @@ def test_a_module_is_planned_for_the_distances_times_the_field(distance: Any, en
 
 RANDOM: dict[str, RandomUnderwater] = {
     "water.contrast": fixed(contrast=0.2),
-    "water.point_spread": fixed(point_spread=None),
     "water.vertical_depth": fixed(vertical_depth=(0.0, 3.0)),
     "water.waters": fixed(waters=["II", "7C"]),
     "water.mixing": fixed(mixing=(0.0, 0.5)),
@@ -434,12 +433,21 @@ def test_what_is_random_is_no_module(name: str) -> None:
 
 
 def test_a_medium_has_its_own_daylight_unless_lamps_are_asked_for() -> None:
-    assert RandomUnderwater("II").light == RandomLight()
+    def lit(aug: RandomUnderwater) -> bool:
+        record = aug.make_params(picture(300), torch.Generator().manual_seed(0))
+        return any("rig" in sample["light"] for sample in record["samples"])
+
+    default = RandomUnderwater("II")
+    assert lit(default)
     for water in (FIT, ["II", FIT]):
-        assert RandomUnderwater(water).light is None
+        # as it is, and after a process or a file
+        for twin in (default, pickle.loads(pickle.dumps(default))):
+            assert not lit(replace(twin, water=RandomWater(water)))
+        assert not lit(RandomUnderwater(water))
         for light in (RandomLight(), RandomLight(share=0.5)):
             aug = RandomUnderwater(water, light=light)
             assert RandomUnderwater.from_dict(aug.to_dict()).light == aug.light == light
+            assert lit(aug)
 
 
 @pytest.mark.usefixtures("nothing_is_said")
@@ -451,12 +459,8 @@ def test_says_once_where_nothing_is_left_to_see() -> None:
 
 
 @pytest.mark.usefixtures("nothing_is_said")
-@pytest.mark.parametrize("later", [False, True])
-def test_doubts_the_first_maps_of_a_process(later: bool) -> None:
+def test_doubts_the_first_maps_of_a_process() -> None:
     aug, shares = RandomUnderwater(), torch.linspace(0.01, 1, 24 * 33).reshape(1, 24, 33)
-    if later:  # the first is right, most are not
-        for z in [1 + 2 * shares, *[shares.roll(k) for k in range(1, 7)]]:
-            aug(picture(), z)
     with pytest.warns(UserWarning, match=r"distances look relative, .* Inverse\(near, far\)"):
         aug(picture(), shares)
     aug(picture(), shares)  # silent: a warning would be an error

@@ -67,47 +67,97 @@ def from_plain(data: Any, *expected: type) -> Any:
 
     Args:
         data: from `to_plain`, or as a person writes it in TOML.
-        expected: allowed classes of the result. Without "kind" it is the first that has all of the
-            attributes.
+        expected: classes that the result may have, with those that derive from them; without any,
+            no object is made. Without "kind" it is the first that has all of the attributes.
 
     Raises:
-        TypeError, ValueError: if the class is unknown, or refuses what it is given.
+        TypeError, ValueError: if a class is not expected, a field has another type, or a class
+            refuses what it is given.
     """
+    try:
+        return _read("", data, expected)
+    except RecursionError:
+        raise ValueError("lists or tables are nested too deeply") from None
+
+
+def _read(name: str, data: Any, hints: tuple[Any, ...]) -> Any:
+    """Read a value of a field called `name`, which may have these types."""
     if isinstance(data, (list, tuple)):
-        return tuple(from_plain(item, *expected) for item in data)
+        return tuple(_read(name, item, hints) for item in data)
     if not isinstance(data, Mapping):
-        return data
-    kind = _kind_of(data, expected)
+        return _scalar(name, data, hints)
+    for hint in hints:
+        if _is_mapping(hint):
+            inner = _flat(get_args(hint)[1])
+            return {key: _read(f"{name}.{key}", item, inner) for key, item in data.items()}
+    kind = _kind_of(data, tuple(filter(_is_expected, hints)))
     if kind is None:
-        return {key: from_plain(item) for key, item in data.items()}
+        return {key: _read(f"{name}.{key}", item, ()) for key, item in data.items()}
     members, values = _members(kind), {}
     for key, item in data.items():
         if key == "kind":
             continue
-        classes = members.get(key, ())
         if not hasattr(kind, "of_plain") and key not in members:
             has = f"{kind.__name__} has no {key!r}, only {', '.join(members)}"
             raise TypeError(f"{has}{_meant(key, members)}")
+        classes = members.get(key, ())
         is_none = isinstance(item, str) and item == "none" and NoneType in classes
-        values[key] = None if is_none else from_plain(item, *filter(_is_plain, classes))
+        values[key] = None if is_none else _read(f"{kind.__name__}.{key}", item, classes)
     try:
         return getattr(kind, "of_plain", kind)(**values)  # of_plain: makes tensors of numbers
     except TypeError as error:  # an argument that is missing
         raise TypeError(f"{kind.__name__}: {error}") from None
 
 
+_TRUTH = {"true": True, "on": True, "yes": True, "false": False, "off": False, "no": False}
+"""Words for True and False, as people write them after `--set`."""
+
+
+def _scalar(name: str, value: Any, hints: tuple[Any, ...]) -> Any:
+    """Refuse a number, string or truth value of another type than a field has."""
+    is_free = not name or not hints or Any in hints
+    if is_free or not isinstance(value, (bool, int, float, str, NoneType)):
+        return value
+    if bool in hints and isinstance(value, str) and value.lower() in _TRUTH:
+        return _TRUTH[value.lower()]
+    expected = {kind for hint in hints if (kind := _scalar_type(hint))}
+    # where objects alone are expected, the class says what stands for one; an int is a number
+    if not expected or type(value) in expected or (type(value) is int and float in expected):
+        return value
+    words = ", ".join(sorted(_IN_WORDS[kind] for kind in expected))
+    raise ValueError(f"{name} must be {words}, got {value!r:.80}")
+
+
+_IN_WORDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a string",
+    NoneType: "none",
+}
+
+
+def _scalar_type(hint: Any) -> type | None:
+    """Return the scalar that a field of a type is written with; None for a list or a table."""
+    if isinstance(hint, str) or get_origin(hint) is os.PathLike or hint is os.PathLike:
+        return str
+    if getattr(hint, "__name__", "") in ("Tensor", "ndarray"):  # without PyTorch
+        return float
+    return hint if isinstance(hint, type) and hint in _IN_WORDS else None
+
+
 def _kind_of(data: Mapping[str, Any], expected: tuple[type, ...]) -> type | None:
     """Return the class that a dictionary stands for; None for a dictionary as such."""
     if "kind" not in data:
-        has_all = (kind for kind in expected if data.keys() <= _members(kind).keys())
-        return next(has_all, expected[0] if expected else None)
+        kinds = [kind for kind in expected if _is_plain(kind)]
+        has_all = (kind for kind in kinds if data.keys() <= _members(kind).keys())
+        return next(has_all, kinds[0] if kinds else None)
     name = data["kind"]
     kind = _KINDS.get(name) if isinstance(name, str) else None
-    if kind is None or (expected and not issubclass(kind, expected)):
-        wanted = [kind.__name__ for kind in expected] or list(_KINDS)
-        raise ValueError(
-            f"kind must be {', '.join(wanted)}, got {name!r}{_meant(str(name), wanted)}"
-        )
+    if kind is None or not issubclass(kind, expected):
+        wanted = [known for known, kind in _KINDS.items() if issubclass(kind, expected)]
+        listed = ", ".join(wanted) or "left out: no object is expected here"
+        raise ValueError(f"kind must be {listed}, got {name!r:.80}{_meant(str(name), wanted)}")
     return kind
 
 
@@ -120,10 +170,20 @@ def _members(kind: type) -> dict[str, tuple[type, ...]]:
 
 def _flat(hint: Any) -> tuple[Any, ...]:
     """List the classes in a type hint, but for those in a mapping, which is written as such."""
-    origin, inner = get_origin(hint), get_args(hint)
-    if not inner or (isinstance(origin, type) and issubclass(origin, Mapping)):
+    inner = get_args(hint)
+    if not inner or _is_mapping(hint):
         return (hint,)
     return sum((_flat(each) for each in inner), ())
+
+
+def _is_mapping(hint: Any) -> bool:
+    origin = get_origin(hint)
+    return isinstance(origin, type) and issubclass(origin, Mapping)
+
+
+def _is_expected(hint: Any) -> bool:
+    """True for a class that the codec writes, or whose subclasses it writes."""
+    return isinstance(hint, type) and any(issubclass(kind, hint) for kind in _KINDS.values())
 
 
 def _is_plain(kind: Any) -> bool:

@@ -21,7 +21,7 @@ WATERS = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
 PLACES = ("reef", "harbour", "lake", "fjord")
 
 
-def view_table(degrees: float | None, focal_px: float | None) -> dict[str, float]:
+def view_table(degrees: float | None, focal_px: float | None) -> dict[str, Any]:
     """A view as a table of options, empty if none is given."""
     if degrees is not None and focal_px is not None:
         raise ValueError("--view and --focal-px say the same: give one of them")
@@ -77,7 +77,9 @@ Preset = Annotated[
 ]
 Workers = Annotated[int, typer.Option(help="Number of processes; 0: one for each core.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on after a stop.")]
-Force = Annotated[bool, typer.Option("--force", help="Write over existing files.")]
+Force = Annotated[
+    bool, typer.Option("--force", help="Write over existing files, or begin a folder anew.")
+]
 
 
 def number_or_word(text: str) -> Any:

@@ -182,8 +182,11 @@ def degrade(
         distances = distances_of(distance, source, sequence=sequence, **map_values)
         if distances.source is not None:
             values["distance"] = distances.source
+        augment = RandomUnderwater.from_dict(values)
+        # a network of the hub that cannot be fetched ends the run before its first picture
+        getattr(augment.distance, "file", None)
         recipe = Recipe(
-            RandomUnderwater.from_dict(values),
+            augment,
             unit=map_values["unit"],
             seed=seed,
             variants=variants,

@@ -37,7 +37,6 @@ def depth(
     multiple: Annotated[int, typer.Option(help="Side of the patches, px; 32 for MiDaS.")] = 14,
     mean: Annotated[str, typer.Option(help="Mean of red, green, blue.")] = "0.485,0.456,0.406",
     std: Annotated[str, typer.Option(help="Deviation of red, green, blue.")] = "0.229,0.224,0.225",
-    bgr: Annotated[bool, typer.Option("--bgr", help="The network takes blue first.")] = False,
     workers: Workers = 0,
     resume: Resume = False,
     force: Force = False,
@@ -60,7 +59,6 @@ def depth(
             multiple=multiple,
             mean=_colour("mean", mean),
             std=_colour("std", std),
-            bgr=bgr,
             revision=revision,
         )
         items = find_items(pictures, exclude=[out])

@@ -24,7 +24,7 @@ STAGES = {"d2": 1, "d3": 3, "d4": 3, "d5": 1}
 POOLED_PX = (5, 9, 13)
 """Windows of the last stage."""
 
-PIXELS = 16384
+PIXELS = 12288
 """Size of the copy that the network sees."""
 
 Convolve = Callable[[str, Tensor, int], Tensor]
@@ -40,7 +40,7 @@ def encoded(pictures: Tensor, convolve: Convolve) -> list[Tensor]:
     """
 
     def layer(name: str, x: Tensor, stride: int = 1) -> Tensor:
-        return silu(convolve(name, x, stride))
+        return silu(convolve(name, x, stride), inplace=True)
 
     def separable(name: str, x: Tensor, stride: int = 1) -> Tensor:
         return layer(f"{name}.points", layer(f"{name}.window", x, stride))
@@ -93,7 +93,7 @@ def small_copy(picture: Tensor) -> Tensor:
     """
     scale = math.sqrt(PIXELS / picture[0].numel())
     sides = [min(max(32 * round(side * scale / 32), 32), 512) for side in picture.shape[1:]]
-    every = max(1, int(0.25 / scale))  # four samples along each side of a small pixel will do
+    every = max(1, int(0.5 / scale))  # two samples along each side of a small pixel will do
     sampled = picture[:, ::every, ::every].float()
     mode = "area" if scale < 1 else "bilinear"
     return interpolate(sampled[None], sides, mode=mode)[0].cpu()
@@ -112,15 +112,14 @@ def layers_of(weights: Weights) -> Convolve:
 
 @torch.no_grad()
 def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
-    """Guess distances of a picture (3xHxW, sRGB in 0…1). A mirrored picture gets them mirrored.
+    """Guess distances of a picture (3xHxW, sRGB in 0…1).
 
     Returns (H/2xW/2 each): logarithms of distance, up to scale and shift; and the probability of
     open water, sky or a plain backdrop.
     """
-    ways = torch.stack([picture, picture.flip(2)]).contiguous(memory_format=torch.channels_last)
     convolve = layers_of(weights)
-    ways = decoded(encoded(ways, convolve), convolve)
-    log, is_open = 0.5 * (ways[0] + ways[1].flip(2))
+    pictures = picture[None].contiguous(memory_format=torch.channels_last)
+    log, is_open = decoded(encoded(pictures, convolve), convolve)[0]
     return log, is_open.sigmoid()
 
 

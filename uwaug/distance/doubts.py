@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, interpolate
+from torch.nn.functional import interpolate
 
 from uwaug._support import checks
 from uwaug._support.once import Once
-from uwaug.distance.sizes import same_aspect, size_in_words
+from uwaug.distance.sizes import size_in_words
 from uwaug.distance.unknown import FARTHEST_SEEN, alone_of_metres, in_words, of_metres
 
 _CELLS_ACROSS = 72
@@ -42,6 +42,9 @@ _STRETCHED = len(_SCALES) - 1
 _LARGEST_16_BITS_M = tuple(65535 * unit for unit in (1e-3, 1e-2))
 """Largest distance (m) that 16 bits hold in mm and in cm."""
 
+_SCATTERED_SHARE = 0.3
+"""Share of cells with open water in part from which on it stands for unknown."""
+
 _STAND_IN_SHARE = 0.2
 """Largest share of a map's pixels that a stand-in may hold: more may be a wall."""
 
@@ -56,8 +59,6 @@ class Evidence(NamedTuple):
     top: float  # that number
     scale: int  # index into `_SCALES`, or -1
     convexity: float  # above 0 for distances, below for disparities; NaN where it cannot be told
-    fit: Tensor | None  # correlation of the map's edges and the picture's, by shift
-    cells: int  # cells of the small copy along the shorter side
 
 
 def doubts(distance: Tensor | Sequence[Tensor], image: Tensor | Sequence[Tensor]) -> list[str]:
@@ -67,7 +68,7 @@ def doubts(distance: Tensor | Sequence[Tensor], image: Tensor | Sequence[Tensor]
     once. Near and far are told apart by surfaces: in the picture of a plane 1/z is linear, so that
     the logarithm of distances is convex and that of disparities concave. Not found: planar depth
     of a wide view (see `along_ray`), relative maps beyond 1, disparities of scenes without slanted
-    surfaces, shifts below 5 % of the shorter side.
+    surfaces, shifts against the picture.
 
     Args:
         distance: a map (1xHxW; 0, negative and NaN = unknown, +inf = open water), several maps of
@@ -117,11 +118,11 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     checks.floating("distance", distance)
     checks.picture("distance", distance, 1)
     checks.picture("image", image, 3)
-    z, picture = distance.detach().float(), image.detach()
-    (h, w), (height, width) = z.shape[-2:], picture.shape[-2:]
+    z = distance.detach().float()
+    (h, w), (height, width) = z.shape[-2:], image.shape[-2:]
     size = "" if (h, w) == (height, width) else size_in_words((h, w), (height, width))
     if not z.numel():
-        return Evidence(0, size, 0.0, "", torch.nan, -1, torch.nan, None, 0)
+        return Evidence(0, size, 0.0, "", torch.nan, -1, torch.nan)
     short = min(h, w)
     cells = min(_CELLS_ACROSS, max(1, short // 3))
     rows, columns = (min(4 * _CELLS_ACROSS, cells * side // short) for side in (h, w))
@@ -129,10 +130,10 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     is_valid = points > 0
     nine = torch.where(is_valid, points, torch.nan).reshape(rows, 3, columns, 3).transpose(1, 2)
     log = nine.flatten(2).nanmedian(-1).values.log()
-    fit = None
-    if cells >= _CELLS_ACROSS // 2 and same_aspect((h, w), (height, width)):
-        green = interpolate(picture[None, 1:2].float(), (rows, columns), mode="area")[0, 0]
-        fit = _edge_fit(log, green if picture.is_floating_point() else green / 255)
+    # sparse maps write infinity for unknown; open water lies together
+    is_open = nine.isinf().flatten(2)
+    if float((is_open.any(-1) & ~is_open.all(-1)).float().mean()) > _SCATTERED_SHARE:
+        is_valid &= points.isfinite()
     holes = 1 - float(is_valid.float().mean())
     alone = of_metres(z) | alone_of_metres(z)
     is_stand_in = 0 < float(alone.float().mean()) < _STAND_IN_SHARE
@@ -145,7 +146,7 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
         high = float(torch.where(z < checks.OPEN, z, 0.0).amax())
         if any(0.9 * end < high < end for end in _LARGEST_16_BITS_M):
             scale = _STRETCHED
-    return Evidence(digest, size, holes, words, top, scale, _convexity(log), fit, cells)
+    return Evidence(digest, size, holes, words, top, scale, _convexity(log))
 
 
 def judged(evidences: Iterable[Evidence]) -> list[str]:
@@ -155,7 +156,8 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
     holes = sorted(entry.holes for entry in entries)
     if _is_majority([share > 0.5 for share in holes]):
         got = f"{100 * holes[len(holes) // 2]:.0f} % of the distances are unknown"
-        sentences.append(f"{got}: whatever holes get (--holes) would make up most of a map")
+        cure = "set scattered +inf to 0, and see what --holes makes up"
+        sentences.append(f"{got}: {cure}")
     for scale, sentence in enumerate(_SCALES):
         if _is_majority([entry.scale == scale for entry in entries]):
             sentences.append(f"distances {sentence}")
@@ -174,7 +176,7 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
             "one scene are one witness (--sequence)"
         )
         sentences.append(f"{claim}: {cure}")
-    return [*dict.fromkeys(sentences), *_shifted(entries)]
+    return list(dict.fromkeys(sentences))
 
 
 def _is_majority(votes: list[bool]) -> bool:
@@ -218,43 +220,3 @@ def _convexity(log: Tensor) -> float:
         bend += float(((curve / slope.square()).clamp(-1, 1) * slope).sum())
         weight += float(slope.sum())
     return bend / weight if weight > 0.002 * log.numel() else torch.nan
-
-
-def _edge_fit(log: Tensor, grey: Tensor) -> Tensor | None:
-    """Correlation of the edges of a map and of a picture (HxW), by shifts of up to a sixth of the
-    shorter side, in median deviations from its median; None where there are too few edges.
-    """
-    edges = _edges(log).nan_to_num(0.0).clamp(max=0.1)
-    edges = torch.where(edges > 0.03, edges, 0.0)
-    if not 0.02 < float((edges > 0).float().mean()) < 0.5:
-        return None
-    size, reach = [2 * side for side in edges.shape], min(edges.shape) // 6
-    around = [e - avg_pool2d(e[None], 7, 1, 3)[0] for e in (_edges(grey).clamp(max=0.15), edges)]
-    first, second = (torch.fft.rfft2(e - e.mean(), size) for e in around)
-    shifts = torch.fft.irfft2(first * second.conj(), size).roll((reach, reach), (0, 1))
-    fit = shifts[: 2 * reach + 1, : 2 * reach + 1]
-    fit -= fit.median()
-    deviation = 1.4826 * float(fit.abs().median())
-    return fit / deviation if deviation > 0 else None
-
-
-def _edges(x: Tensor) -> Tensor:
-    return torch.hypot(x.diff(dim=0)[:, :-1], x.diff(dim=1)[:-1])
-
-
-def _shifted(entries: list[Evidence]) -> list[str]:
-    """Tell, by maps of the first one's size, if edges fit the pictures better elsewhere."""
-    fits = [(entry.fit, entry.cells) for entry in entries if entry.fit is not None]
-    if not fits:
-        return []
-    size = fits[0][1]
-    fit = torch.stack([fit for fit, cells in fits if cells == size]).mean(0)
-    reach, best = len(fit) // 2, int(fit.argmax())
-    down, right = best // len(fit) - reach, best % len(fit) - reach
-    here = float(fit[reach - 2 : reach + 3, reach - 2 : reach + 3].max())
-    if max(abs(down), abs(right)) <= 2 or float(fit.max()) < max(6, here + 3):
-        return []
-    shift = " and ".join(f"{100 * n / size:+.0f} %" for n in (right, down))
-    cure = "crop, pad and resize both alike, and register the depth camera to the colour camera"
-    moved = f"the map moved {shift} of the shorter side right and down"
-    return [f"edges fit better with {moved}: {cure}"]

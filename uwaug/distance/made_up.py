@@ -2,21 +2,26 @@
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
 from uwaug._support import checks, codec
+from uwaug._support.compiled import kept, wanted
 from uwaug._support.nouns import Drawn, number
 from uwaug._support.ranges import Range
 from uwaug.distance import cue
 from uwaug.distance.sources import Source, require_ends
 
 # How it was chosen, and what lost: benchmarks/CHOICES.md, "Made-up distances".
+
+Floats = NDArray[np.float32]
 
 _OPEN_PROBABILITY = 0.75
 """Probability of open water where a picture has a place for it."""
@@ -47,8 +52,7 @@ class MadeUp(Source):
     A small network that comes with the package guesses what is nearer than what, and where there is
     open water, such as sky. An exponent, a smooth field, and the presence of open water (in three
     of four) are drawn. Distances step where the picture has edges, and reach from near to far.
-    Mirrored pictures get mirrored maps, from 1024² on nearly so. One of thirty pictures, or all
-    with `cue="ramp"`, gets a ramp: what is lower in the picture is nearer.
+    One of thirty pictures, or all with `cue="ramp"`, gets a ramp: what is lower is nearer.
 
     Order and sizes are guessed. That teaches a network that water hides far things more than near
     ones. It is no truth to restore pictures or to measure by; a large network is nearer to it, see
@@ -79,24 +83,26 @@ class MadeUp(Source):
         return {**super().ranges(), "scene": (0.0, 1.0)}
 
     @torch.no_grad()
-    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         """See `Source.metres`."""
-        white = 255.0 if image.dtype == torch.uint8 else 1.0
         rng = np.random.default_rng(int(drawn["scene"] * 2**53))
+        white = 255 if image.dtype == torch.uint8 else 1
         picture = cue.small_copy(image).float() / white
-        guide = avg_pool2d(picture[None], 2)[0]
+        guide = avg_pool2d(picture[None], 2)[0].numpy()
         height, width = guide.shape[1:]
         if rng.uniform() < _RAMP_PROBABILITY or self.cue == "ramp":
             log, is_open = np.linspace(1, 0, height)[:, None].repeat(width, 1), np.zeros((1, 1))
         else:
             answers = cue.relative(picture, cue.learnt())
             log, is_open = (answer.double().numpy() for answer in answers)
-        small = torch.from_numpy(_varied(log, is_open, rng)).float()
-        depth = _upsampled(small, guide, image, white)
+        small = _varied(log, is_open, rng).astype(np.float32)
+        lines = _guided(small, guide)
+        lines[:3] /= white
+        # regression overshoots: without open water nothing lies beyond 1
+        depth = _enlarged(lines, image, float(small.max()))
         near, far = drawn["near"], drawn["far"]
-        z = depth.clamp(max=1) if float(small.max()) > 1 else depth
-        z = z.mul_(math.log(far / near)).exp_().mul_(near)
-        if z is not depth:
+        z = depth.clamp(max=1).mul_(math.log(far / near)).exp_().mul_(near)
+        if small.max() > 1:
             # open water begins at 1.05 and is endless from 1.95: regression meets neither end
             z.div_(depth.neg_().add_(1.95).div_(0.9).clamp_(0, 1))
         return z[None].to(torch.promote_types(image.dtype, torch.float32))
@@ -129,39 +135,85 @@ def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
     return depth + (2 - depth) * openness
 
 
-def _upsampled(values: Tensor, small: Tensor, picture: Tensor, white: float) -> Tensor:
-    """Enlarge a small map (hxw) to a picture (3xHxW), with steps at the picture's edges. In each
-    window it is linear in the colours of the small copy (3xhxw). He and Sun, arXiv:1505.00996.
+def _guided(values: Floats, colours: Floats) -> Floats:
+    """In the window around each pixel of a map (hxw), write it as linear in a picture's colours
+    (3xhxw): three slopes and a start (4xhxw). He and Sun, arXiv:1505.00996.
     """
-
-    def mean(x: Tensor) -> Tensor:
-        for reach in ((_GUIDE_PX, 0), (0, _GUIDE_PX)):
-            window = [2 * pixels + 1 for pixels in reach]
-            x = avg_pool2d(x, window, 1, reach, count_include_pad=False)
-        return x
-
-    pairs = torch.stack([small[i] * small[j] for i in range(3) for j in range(i, 3)])
-    moments = mean(torch.cat([small, values[None], pairs, small * values]))
-    colours, value = moments[:3], moments[3]
-    red, green, blue = colours
-    common = moments[10:] - colours * value
-    products = (red * red, red * green, red * blue, green * green, green * blue, blue * blue)
-    rr, rg, rb, gg, gb, bb = moments[4:10] - torch.stack(products)
+    down, across = map(_box, values.shape)
+    pixels = np.concatenate([colours, values[None]])
+    first, second = np.triu_indices(4)
+    means = down @ pixels @ across.T
+    moments = down @ (pixels[first] * pixels[second]) @ across.T
+    rr, rg, rb, rv, gg, gb, gv, bb, bv, _ = moments - means[first] * means[second]
     rr, gg, bb = (variance + _EDGE_VARIANCE for variance in (rr, gg, bb))
-    # the inverse of the 3x3 matrix of each pixel by its cofactors: solvers take ten times as long
-    first = torch.stack([gg * bb - gb * gb, rb * gb - rg * bb, rg * gb - rb * gg])
-    second = torch.stack([first[1], rr * bb - rb * rb, rg * rb - rr * gb])
-    third = torch.stack([first[2], second[2], rr * gg - rg * rg])
-    determinant = rr * first[0] + rg * first[1] + rb * first[2]
-    slopes = torch.stack([(row * common).sum(0) for row in (first, second, third)]) / determinant
-    start = value - (slopes * colours).sum(0)
-    lines = mean(torch.cat([slopes / white, start[None]])).to(picture.device)
+    # 3x3 equations of each pixel by elimination: solvers take ten times as long
+    g, b = rg / rr, rb / rr
+    gg, gb, gv = gg - g * rg, gb - g * rb, gv - g * rv
+    bb, bv = bb - b * rb, bv - b * rv
+    g = gb / gg
+    blue = (bv - g * gv) / (bb - g * gb)
+    green = (gv - gb * blue) / gg
+    red = (rv - rg * green - rb * blue) / rr
+    slopes = np.stack([red, green, blue])
+    start = means[3] - (slopes * means[:3]).sum(0)
+    lines: Floats = down @ np.concatenate([slopes, start[None]]) @ across.T
+    return lines
 
-    def full(x: Tensor) -> Tensor:
-        return interpolate(x[None, None], picture.shape[1:], mode="bilinear")[0, 0]
 
-    result = full(lines[3])
-    for slope, colour in zip(lines[:3], picture, strict=True):  # one by one: memory is the cost
-        result.addcmul_(full(slope), colour.float())
-    # regression overshoots: without open water nothing lies beyond 1
-    return result.clamp_(0, float(values.max()))
+@cache
+def _box(size: int) -> Floats:
+    """Matrix that takes means over windows of a line."""
+    places = np.arange(size)
+    window = abs(places[:, None] - places) <= _GUIDE_PX
+    box: Floats = (window / window.sum(1, keepdims=True)).astype(np.float32)
+    return box
+
+
+def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
+    """Put the colours of a picture (3xHxW) into `lines` (4xhxw), brought to its size; 0…highest."""
+    if picture.is_cpu and picture.dtype in (torch.uint8, torch.float32) and (loop := _loop()):
+        result = np.empty(picture.shape[1:], np.float32)
+        places = [_places(*sides) for sides in zip(lines.shape[1:], picture.shape[1:], strict=True)]
+        loop(lines, picture.numpy(), *places, np.float32(highest), result)
+        return torch.from_numpy(result)
+    weights = torch.from_numpy(lines).to(picture.device)[None]
+    large = interpolate(weights, picture.shape[1:], mode="bilinear")[0]
+    large[:3].mul_(picture)
+    return large.sum(0).clamp_(0, highest)
+
+
+def _places(small: int, large: int) -> tuple[Any, Floats]:
+    """Pixel of a small line before the middle of each pixel of a large one, and the way beyond."""
+    places = ((np.arange(large) + 0.5) * (small / large) - 0.5).clip(0, small - 1)
+    before = np.minimum(places.astype(np.int64), max(small - 2, 0))
+    return before, (places - before).astype(np.float32)
+
+
+def _loop() -> Any:
+    """The compiled `_enlarge`, if there is numba."""
+    return _compiled() if wanted() else None
+
+
+@cache
+def _compiled() -> Any:
+    try:
+        return kept(_enlarge)
+    except ImportError:
+        return None
+
+
+def _enlarge(lines: Any, picture: Any, rows: Any, columns: Any, highest: Any, out: Any) -> None:
+    height, width = out.shape
+    last = lines.shape[1] - 1
+    for i in range(height):
+        above, down = rows[0][i], rows[1][i]
+        line = lines[:, above] + down * (lines[:, min(above + 1, last)] - lines[:, above])
+        step = np.zeros_like(line)
+        step[:, :-1] = line[:, 1:] - line[:, :-1]
+        for j in range(width):
+            before, across = columns[0][j], columns[1][j]
+            value = line[3, before] + across * step[3, before]
+            for c in range(3):
+                slope = line[c, before] + across * step[c, before]
+                value += slope * np.float32(picture[c, i, j])
+            out[i, j] = min(max(value, np.float32(0)), highest)

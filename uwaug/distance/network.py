@@ -4,24 +4,31 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
 from uwaug._support import checks, codec
+from uwaug._support.extras import require
 from uwaug._support.nouns import Drawn
 from uwaug._support.onnx_session import Session
-from uwaug.distance.hub import NAMED, fetched, hub_file
 from uwaug.distance.sizes import require_aspect
 from uwaug.distance.sources import Inverse, Source
 
-_TYPES = {
-    "tensor(float)": torch.float32,
-    "tensor(float16)": torch.float16,
-    "tensor(uint8)": torch.uint8,
+NAMED = {
+    "depth-anything-v2-small": (
+        "onnx-community/depth-anything-v2-small:onnx/model.onnx",  # Apache-2.0, 99 MB
+        "4472b7362082ad9968fee890ca0f1e5aca36b93d",
+    )
 }
+"""Address on the hub and commit of networks, by name. The options of `Network` are theirs."""
+
+_TYPES = {"tensor(float)": torch.float32, "tensor(float16)": torch.float16}
+
+_LONGEST = 4
+"""Most that a side of the input measures in short sides."""
 
 
 @codec.plain
@@ -29,33 +36,30 @@ _TYPES = {
 class Network(Source):
     """Monocular depth network, for pictures without maps, or to call.
 
-    Its errors become wrong colours, and it runs for every picture. Where pictures come again, keep
-    its maps in files. A network of the Hugging Face hub is fetched once, when it is named, into
-    that library's cache.
+    Its errors become wrong colours, and it runs for every picture: where pictures come again, keep
+    its maps in files. A network of the Hugging Face hub is fetched once, at the first call.
 
-    An ONNX file must take one picture, (1, 3, h, w) or (1, h, w, 3), and give (1, h', w'),
-    (1, 1, h', w') or (1, h', w', 1) first, as exports of MiDaS, DPT and Depth Anything do. It may
-    fix h and w. It opens at the first call, with as many threads as torch has there; each
-    DataLoader worker opens its own.
+    An ONNX file takes one picture, (1, 3, h, w), of floating point, and gives (1, h', w') or
+    (1, 1, h', w') first, as exports of MiDaS, DPT and Depth Anything do. It opens at the first
+    call, with as many threads as torch has there; each DataLoader worker opens its own.
 
     Attributes:
         model: path of an ONNX file; "depth-anything-v2-small" or "owner/name:file" of the hub; or a
             function of a picture (3xHxW, sRGB in 0…1) that gives a map (1xHxW).
         holds: meaning of its maps: `Inverse`, `Relative` or `Metres`.
-        short_side: short side of the input, px, where the file leaves it free.
+        short_side: short side of the input, px, where the file leaves it free. Of a strip the long
+            side gets four times as much at most.
         multiple: the sides of the input are multiples of it: the patch size, 14 for Depth Anything,
             32 for MiDaS.
         mean, std: the file gets (image − mean)/std of each channel, image in 0…1; ImageNet's by
-            default. A file of bytes gets them as they are.
-        bgr: blue comes first; also where the file's metadata say so (`Image.BitmapPixelFormat`).
+            default.
         providers: ONNX Runtime's execution providers.
         revision: commit, branch or tag of a repository of the hub; one that was tried by default
             for a name, the newest for "owner/name:file".
 
     Raises:
-        FileNotFoundError: there is no file at that path, or on the hub.
-        ConnectionError, PermissionError, ImportError: the hub does not give the file; says the
-            cure.
+        FileNotFoundError: there is no such file, or the hub does not give it.
+        ImportError: huggingface_hub is not installed.
         ValueError: `short_side` or `multiple` is not positive, or a file or a function gets a
             revision.
 
@@ -73,51 +77,49 @@ class Network(Source):
     multiple: int = 14
     mean: Sequence[float] = (0.485, 0.456, 0.406)
     std: Sequence[float] = (0.229, 0.224, 0.225)
-    bgr: bool = False
     providers: Sequence[str] = ("CPUExecutionProvider",)
     revision: str | None = None
     _session: Session | None = field(init=False, repr=False, compare=False, default=None)
 
     def __post_init__(self) -> None:
         checks.instance("holds", self.holds, Source)
+        is_named = not callable(self.model) and not Path(self.model).is_file()
+        if self.revision is not None and not is_named:
+            raise ValueError(f"revision is of files on the hub, got model {self.model}")
         if callable(self.model):
-            if self.revision is not None:
-                raise ValueError("revision is of the hub; model is a function: leave it out")
             return
         if self.short_side < 1 or self.multiple < 1:
             got = f"got {self.short_side} and {self.multiple}"
             raise ValueError(f"short_side and multiple must be at least 1, {got}")
-        session = Session(self._path(), threads=None, providers=self.providers)
-        object.__setattr__(self, "_session", session)
+        if is_named:
+            _address_of(str(self.model))
 
-    def _path(self) -> Path:
-        path = Path(cast(str, self.model))
-        if path.is_file():
-            if self.revision is not None:
-                raise ValueError(f"revision is of the hub; {path} is a file: leave it out")
-            return path
-        file = hub_file(str(self.model), self.revision)
-        if file is None:
-            expected = f"an ONNX file, {', '.join(NAMED)}, or owner/name:file of the hub"
-            raise FileNotFoundError(f"model must be {expected}; got {self.model}: no such file")
-        return fetched(file)
+    @property
+    def _opened(self) -> Session:
+        """The file's session. The hub is asked here: a preset of a stranger fetches nothing."""
+        if self._session is None:
+            path = Path(cast(str, self.model))
+            path = path if path.is_file() else _fetched(str(self.model), self.revision)
+            session = Session(path, threads=None, providers=self.providers)
+            object.__setattr__(self, "_session", session)
+        return cast(Session, self._session)
 
     @property
     def file(self) -> Path | None:
-        """Path of the ONNX file; None for a function."""
-        return self._session.path if self._session else None
+        """Path of the ONNX file, which is fetched if it is of the hub; None for a function."""
+        return None if callable(self.model) else self._opened.path
 
     def reach(self) -> tuple[float, float] | None:
         """See `Source.reach`."""
         return self.holds.reach()
 
-    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         """See `Source.metres`."""
         guess = self(image / 255 if image.dtype == torch.uint8 else image)
         checks.floating("the network's map", guess)
         checks.picture("the network's map", guess, 1)
         require_aspect("the network's map", guess, image)
-        return self.holds.metres(guess, image, drawn["holds"])
+        return self.holds.metres(guess, image, drawn["holds"], **view)
 
     @torch.no_grad()
     def __call__(self, image: Tensor) -> Tensor:
@@ -148,38 +150,52 @@ class Network(Source):
         return depth.view(*image.shape[:-3], 1, *image.shape[-2:])
 
     def _predict(self, image: Tensor) -> Tensor:
-        session = cast(Session, self._session)
+        session = self._opened
         entry = session.opened.get_inputs()[0]
-        # free channels are taken for colours, unless colours come last
-        shape = entry.shape if len(entry.shape) == 4 else [0] * 4
-        colours_last = shape[3] == 3 and shape[1] != 3
-        colours_first = shape[1] == 3 or not isinstance(shape[1], int)
-        if not (colours_last or colours_first) or entry.type not in _TYPES:
-            expected = "(1, 3, h, w) or (1, h, w, 3) of floating point or bytes"
+        channels, *sides = entry.shape[1:] if len(entry.shape) == 4 else [0, 0, 0]
+        are_colours = channels in (3, None) or isinstance(channels, str)
+        if not are_colours or entry.type not in _TYPES:
+            expected = "(1, 3, h, w) of floating point"
             raise ValueError(f"{self.model} must take {expected}, got {entry.shape}, {entry.type}")
-        scale = self.short_side / min(image.shape[-2:])
+        short, long = sorted(image.shape[-2:])
+        scale = self.short_side / max(short, long / _LONGEST)
         size = []
-        sides = shape[1:3] if colours_last else shape[2:]
         for fixed, side in zip(sides, image.shape[-2:], strict=True):
             free = max(1, round(side * scale / self.multiple)) * self.multiple
             size.append(fixed if isinstance(fixed, int) else free)
         x = interpolate(
             image.float().cpu(), size, mode="bicubic", align_corners=False, antialias=True
         ).clamp(0, 1)
-        metadata = session.opened.get_modelmeta().custom_metadata_map
-        if self.bgr or metadata.get("Image.BitmapPixelFormat", "").startswith("Bgr"):
-            x = x.flip(1)
-        if entry.type == "tensor(uint8)":
-            x = x * 255 + 0.5
-        else:
-            x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
-        x = x.to(_TYPES[entry.type])
-        depth = session({entry.name: x.permute(0, 2, 3, 1) if colours_last else x}).float()
-        if depth.ndim == 4 and depth.shape[3] == 1:
-            depth = depth[..., 0]
+        x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
+        depth = session({entry.name: x.to(_TYPES[entry.type])}).float()
         if depth.ndim not in (3, 4) or depth.shape[:-2].numel() != 1:
-            got = tuple(depth.shape)
-            expected = "(1, h, w), (1, 1, h, w) or (1, h, w, 1)"
-            raise ValueError(f"{self.model} must give {expected}, got {got}")
+            expected = "(1, h, w) or (1, 1, h, w)"
+            raise ValueError(f"{self.model} must give {expected}, got {tuple(depth.shape)}")
         depth = depth.reshape(1, 1, *depth.shape[-2:])
         return interpolate(depth, image.shape[-2:], mode="bilinear", align_corners=False).to(image)
+
+
+def _address_of(model: str) -> tuple[str, str, str | None]:
+    """Repository, file and commit of a network on the hub; refuses what is no address."""
+    address, tried = NAMED.get(model, (model, None))
+    repository, _, file = address.partition(":")
+    if repository.count("/") != 1 or not file:
+        expected = f"an ONNX file, {', '.join(NAMED)}, or owner/name:file of the hub"
+        raise FileNotFoundError(f"model must be {expected}; got {model}: no such file")
+    return repository, file, tried
+
+
+def _fetched(model: str, revision: str | None) -> Path:
+    """Fetch a file of the hub, once, into the cache of huggingface_hub. Offline mode, mirrors and
+    tokens are set as that library has them (`HF_HUB_OFFLINE`, `HF_ENDPOINT`, `HF_TOKEN`).
+    """
+    repository, file, tried = _address_of(model)
+    (hub,) = require("hub", "huggingface_hub")
+    try:
+        return Path(hub.hf_hub_download(repository, file, revision=revision or tried))
+    except Exception as error:  # of several libraries, without a common base
+        reason = " ".join(str(error).split()) or type(error).__name__
+        cure = "or fetch the file elsewhere and give its path"
+        raise FileNotFoundError(
+            f"{repository}:{file} could not be fetched: {reason}; {cure}"
+        ) from error

@@ -2,9 +2,8 @@
 them. They give metres at every pixel, or an error.
 """
 
-import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -36,9 +35,6 @@ _stand_in_warning = Once()
 _LEAST_NEAR_M = 1e-6
 """Metres that relative distance 0 gets with near = 0: a distance of 0 means unknown."""
 
-_WIDEST_DIAGONAL = 8.0
-"""Largest diagonal of a picture in focal lengths: 152°, wider than any view without fisheye."""
-
 
 class Source(Noun):
     """Source of a picture's distances. A subclass is a frozen dataclass.
@@ -58,7 +54,15 @@ class Source(Noun):
             return None
         return self._ends["near"][0], self._ends["far"][1]
 
-    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
+    def metres(
+        self,
+        distance: Tensor | None,
+        image: Tensor,
+        drawn: Drawn,
+        *,
+        focal_px: float | None = None,
+        center: tuple[float, float] | None = None,
+    ) -> Tensor:
         """Compute the distances of a picture: metres above 0, or +inf for open water.
 
         Args:
@@ -67,6 +71,9 @@ class Source(Noun):
             image (3xHxW tensor): the picture; uint8, or floating point in 0…1. sRGB where
                 `reads_pictures`.
             drawn: numbers that the picture has drawn, by name.
+            focal_px: focal length, px of the picture; planar maps need it.
+            center: pixel (x, y) of the picture through which the optical axis goes; its middle if
+                None.
 
         Raises:
             ValueError: if the map holds something else, or has holes without a treatment.
@@ -85,20 +92,27 @@ class Metres(Source):
             such as 65.535, or that has one or two digits, such as 1000. With "error" a stand-in
             from 100 m on is open water, as is 1e7 m and more; a nearer one stays, with a warning.
             Geometric transforms pad with 0.
-        focal_px: focal length in px of the picture, or (fx, fy), of maps that hold depth along the
-            optical axis, as depth cameras and renderers write it, see `along_ray`; None for metres
-            along the ray. The axis goes through the middle: maps are whole views, not crops.
+        planar: maps hold depth along the optical axis, as depth cameras and renderers write it, see
+            `along_ray`.
     """
 
     holes: Holes = "error"
-    focal_px: float | tuple[float, float] | None = None
+    planar: bool = False
 
     def __post_init__(self) -> None:
         _require_holes(self.holes)
-        if self.focal_px is not None:
-            along_ray(torch.ones(1, 1), self.focal_px)  # refuses what is no focal length
+        if self.planar not in (True, False):
+            raise ValueError(f"planar must be true or false, got {self.planar!r}")
 
-    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
+    def metres(
+        self,
+        distance: Tensor | None,
+        image: Tensor,
+        drawn: Drawn,
+        *,
+        focal_px: float | None = None,
+        center: tuple[float, float] | None = None,
+    ) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
         z = as_maps("distance", distance)
@@ -113,13 +127,16 @@ class Metres(Source):
             else:
                 z = torch.where(stand_in, torch.inf, z)
             z = torch.where(range_end(z), torch.inf, z)
-        if self.focal_px is not None:
-            (h, w), (height, width), focal = z.shape[-2:], image.shape[-2:], self.focal_px
-            fx, fy = focal if isinstance(focal, tuple) else (focal, focal)
-            if math.hypot(width / fx, height / fy) > _WIDEST_DIAGONAL:
-                cure = f"a lens of f mm before a sensor w mm wide has f/w·{width} px"
-                raise ValueError(f"focal_px must be in px of the picture, got {focal}: {cure}")
-            z = along_ray(z, (fx * w / width, fy * h / height))
+        if self.planar:
+            focal_px = focal_px or 0.0
+            checks.positive("focal_px", focal_px, "px")
+            (h, w), (height, width) = z.shape[-2:], image.shape[-2:]
+            x, y = center or (width / 2, height / 2)
+            z = along_ray(
+                z,
+                (focal_px * w / width, focal_px * h / height),
+                (x * w / width, y * h / height),
+            )
         return _without_holes(z, self.holes)
 
 
@@ -146,7 +163,7 @@ class Relative(Source):
         as_range("gamma", self.gamma, 1e-3)
         _require_holes(self.holes)
 
-    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
         near = max(drawn["near"], _LEAST_NEAR_M)
@@ -177,7 +194,7 @@ class Inverse(Source):
             raise ValueError(f"near must lie above 0 m in inverse depth, got {self.near}")
         _require_holes(self.holes)
 
-    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         """See `Source.metres`."""
         assert distance is not None
         inverse = _without_stand_ins(as_maps("distance", distance), self.holes)
@@ -208,7 +225,7 @@ class Plane(Source):
         low, high, _ = self._ends["distance"]
         return low, high
 
-    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         """See `Source.metres`."""
         dtype = torch.promote_types(image.dtype, torch.float32)
         return image.new_full((1, *image.shape[-2:]), drawn["distance"], dtype=dtype)

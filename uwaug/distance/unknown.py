@@ -65,8 +65,10 @@ def _is_round(metres: float) -> bool:
 def of_shares(x: Tensor) -> Tensor:
     """True where a map of relative depth, inverse depth or disparity holds a stand-in."""
     alone, x = _alone(x, _WIDE_GAP_SHARE), x.detach()
-    if bool((x <= 0).any()):
-        alone |= _alone(-x.clamp(min=0), _ZERO_GAP_SHARE) & (x <= 0)  # both −1 and 0
+    low = x[x <= 0]
+    if low.numel():
+        if bool(((low == 0) | (low == low.min())).all()):  # both −1 and 0
+            alone |= _alone(-x.clamp(min=0), _ZERO_GAP_SHARE) & (x <= 0)
         alone |= _alone(-x, _GAP_SHARE) & (x < 0)
     return alone
 

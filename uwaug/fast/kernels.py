@@ -564,7 +564,8 @@ def meter(
             add_lanes(sums[6 + c], tile_row(t, totals + c), True, n)
     for k in range(9):
         means[k // 3, k % 3] = sums[k].sum()
-    return means / count
+    means /= count
+    return means
 
 
 @inner

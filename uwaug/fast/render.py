@@ -212,9 +212,9 @@ def _gains(scenes: Sequence[_Scene], development: Development, *, has_light: boo
         height, width = scene.z.shape
         points = _points(height, width)
         brightness = np.empty(len(points), np.float32)
-        maps: Any = scene.light.reshape(3, -1), scene.z.reshape(-1), scene.metres.reshape(-1)
-        tables: Any = scene.water, scene.rays
-        means = kernels.meter(*maps, width, points, *tables, _LUMINANCE, brightness)
+        maps = scene.light.reshape(3, -1), scene.z.reshape(-1), scene.metres.reshape(-1)
+        inputs: Any = (*maps, width, points, scene.water, scene.rays, _LUMINANCE, brightness)
+        means = kernels.meter(*inputs)
         if has_light:
             burnt = round(BURNT * METERED)
             highlight = float(np.partition(brightness, -burnt)[-burnt])

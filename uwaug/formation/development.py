@@ -139,6 +139,7 @@ class Development:
         for name, domain in DOMAINS.items():
             value = getattr(self, name)
             if name == "white_balance" and isinstance(value, tuple):
+                checks.vector("development: white_balance", value)
                 for factor in value:
                     checks.positive("development: white_balance", factor)
             elif not isinstance(value, Tensor):

@@ -35,18 +35,17 @@ def form_each(images: Tensor, z: Tensor, metres: Tensor, settings: Sequence[Sett
         images, z, metres: as for `form`, a row for each picture.
         settings: one for each picture, of one colour space.
     """
-    planned = not checks.on_host(images) and _are_alike(settings)
-    by_day = _of_one_day(settings) if planned else []
     results: dict[int, Tensor] = {}
-    if by_day:
-        rows = slice(None) if len(by_day) == len(images) else by_day
-        pictures = _at_once(images[rows], z[rows], [settings[i] for i in by_day])
-        results |= dict(zip(by_day, torch.split(pictures, 1), strict=True))
+    on_host = checks.on_host(images)
+    for indices in () if on_host else _days(settings):
+        rows = slice(None) if len(indices) == len(images) else indices
+        pictures = _at_once(images[rows], z[rows], [settings[i] for i in indices])
+        results |= dict(zip(indices, torch.split(pictures, 1), strict=True))
     for i, setting in enumerate(settings):
         if i in results:
             continue
         plans = list[BlurPlan]()
-        if planned and setting.light is not None:
+        if setting.light is not None and not on_host:
             plans = _plans(_lit_grey(setting, z.shape[-1]), [setting], z)
         row = slice(i, i + 1)
         results[i] = form(images[row], z[row], setting, metres=metres[row], plans=plans)
@@ -54,24 +53,19 @@ def form_each(images: Tensor, z: Tensor, metres: Tensor, settings: Sequence[Sett
     return ordered[0] if len(ordered) == 1 else torch.cat(ordered)
 
 
-def _are_alike(settings: Sequence[Setting]) -> bool:
-    """True if the media can be stacked, and the developments."""
-    developments = [setting.development for setting in settings]
-    laws = {setting.medium.law for setting in settings}
-    is_set = any(isinstance(d.white_balance, tuple) for d in developments)
-    return len(laws) == 1 and len({d.metered for d in developments}) == 1 and not is_set
-
-
-def _of_one_day(settings: Sequence[Setting]) -> list[int]:
-    """Indices of pictures by daylight alone, which differ at most in the pitch of the camera."""
+def _days(settings: Sequence[Setting]) -> list[list[int]]:
+    """Indices of pictures that can be formed at once: by daylight alone, of one law of widths,
+    metered or not, and at most of other pitches.
+    """
     days: dict[Any, list[int]] = {}
     for i, setting in enumerate(settings):
-        light = setting.light
-        if light is None:
-            days.setdefault((None, setting.view), []).append(i)
-        elif not light.lamps and isinstance(light.pitch, float):
-            days.setdefault((light.daylight, setting.view), []).append(i)
-    return max(days.values(), key=len, default=[])
+        light, development = setting.light, setting.development
+        of_one_pitch = light is None or (not light.lamps and isinstance(light.pitch, float))
+        if of_one_pitch and not isinstance(development.white_balance, tuple):
+            daylight = None if light is None else light.daylight
+            key = daylight, setting.view, setting.medium.law, development.metered
+            days.setdefault(key, []).append(i)
+    return list(days.values())
 
 
 def _at_once(images: Tensor, z: Tensor, settings: Sequence[Setting]) -> Tensor:

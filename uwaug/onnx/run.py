@@ -14,11 +14,13 @@ from uwaug import __version__
 from uwaug._support.codec import from_plain
 from uwaug._support.onnx_session import Session
 from uwaug._support.types import Array
+from uwaug.formation.development import Development
 from uwaug.formation.inputs import validate
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import as_matrices
+from uwaug.optics.view import View
 
 INPUTS = {
     "image": "Bx3xHxW, linear light or sRGB, see uwaug_module; 0…1, red, green, blue",
@@ -70,6 +72,10 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
     return metadata
 
 
+_MADE = (Medium, Development, Light, View)
+"""Classes of the arguments of a module. The metadata of a stranger's file make nothing else."""
+
+
 def module_of(path: str | os.PathLike[str], metadata: dict[str, str]) -> Underwater:
     """Make the module of the file at `path` from its metadata.
 
@@ -77,8 +83,9 @@ def module_of(path: str | os.PathLike[str], metadata: dict[str, str]) -> Underwa
         ValueError: if the metadata are damaged.
     """
     try:
-        return Underwater(**from_plain(json.loads(metadata["uwaug_module"])))
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        arguments = json.loads(metadata["uwaug_module"])
+        return Underwater(**{key: from_plain(x, *_MADE) for key, x in arguments.items()})
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
         cause = f"{type(error).__name__}: {error!s:.200}"
         raise ValueError(f"{path}: its metadata are damaged ({cause})") from error
 

@@ -14,10 +14,11 @@ from uwaug.optics.spectra import WAVELENGTHS, Spectra, read_spectra, spectrum, w
 
 _CHANNELS = ("red", "green", "blue")
 
-_DEFAULT = "Nikon 5100 (NPL)"
-"""The camera in the folder `cameras`. All others are read from colour-science, whose import takes
-.6 s, loads 1100 modules and sets NumPy's print options.
-"""
+_FILES = {
+    "Nikon 5100 (NPL)": "nikon-5100-npl.csv",
+    "Sigma SDMerill (NPL)": "sigma-sdmerill-npl.csv",
+}
+"""Cameras of colour-science, in the folder `cameras`."""
 
 
 @plain
@@ -110,10 +111,10 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
     """Load a camera by name or from a file; a ``Camera`` passes through.
 
     Args:
-        camera: a name of colour-science (``colour.MSDS_CAMERA_SENSITIVITIES``), such as "Nikon
-            5100 (NPL)" or "Sigma SDMerill (NPL)", whatever its case, blanks and punctuation; or the
-            path of a CSV file (a string that ends in ``.csv``, or any path object) whose rows are
-            wavelength [nm], R, G, B, separated by commas, with or without one header line.
+        camera: "Nikon 5100 (NPL)" or "Sigma SDMerill (NPL)", whatever its case, blanks
+            and punctuation; or the path of a CSV file (a string that ends in ``.csv``, or any path
+            object) whose rows are wavelength [nm], R, G, B, separated by commas, with or without
+            one header line.
 
     Raises:
         TypeError: if ``camera`` is none of these.
@@ -191,15 +192,11 @@ def _plain_name(name: str) -> str:
 
 @cache
 def _named(plain_name: str) -> Camera:
-    if plain_name == _plain_name(_DEFAULT):
-        camera = _read_csv(Path(__file__).parent / "cameras" / "nikon-5100-npl.csv")
-        return Camera(camera.wavelengths, camera.response, _DEFAULT)
-    with np.printoptions():
-        from colour import MSDS_CAMERA_SENSITIVITIES as CAMERAS
-    for name, sensitivities in CAMERAS.items():
+    for name, file in _FILES.items():
         if _plain_name(name) == plain_name:
-            return Camera(sensitivities.wavelengths, sensitivities.values, name)
-    names = ", ".join(map(repr, CAMERAS))
+            camera = _read_csv(Path(__file__).parent / "cameras" / file)
+            return Camera(camera.wavelengths, camera.response, name)
+    names = ", ".join(map(repr, _FILES))
     raise ValueError(f"no camera is called so; there are {names}, or give the path of a .csv file")
 
 

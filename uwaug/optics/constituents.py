@@ -210,7 +210,16 @@ def pure_water(axis: bytes) -> Array:
     """Absorption and scattering (2, N) of pure sea water at wavelengths [nm], given as the bytes of
     their array.
     """
-    import jerlov
-
     nm = np.frombuffer(axis)
-    return np.array([jerlov.pure_water_absorption(nm), jerlov.pure_water_scattering(nm)])
+    if nm[0] < 300 or nm[-1] > 800:
+        got = f"{nm[0]:g}–{nm[-1]:g} nm leaves it"
+        raise ValueError(f"pure water is tabulated at 300–800 nm, but {got}: resample first")
+    table = read_spectra(Path(__file__).parent / "waters" / "pure.csv", {"a": "absorption"})
+    absorption = np.interp(nm, table["wavelength"], table["a"])
+    # of sea water, salinity 37: Boss & Pegau 2001, Eq. (4) and (5), over all directions
+    at_90 = 1.38 * (nm / 500.0) ** -4.32 * (1 + 0.3) * 1e-4
+    return np.array([absorption, 2.0 * (2.0 * math.pi * at_90 * (1 + _ANISOTROPY / 3.0))])
+
+
+_ANISOTROPY = (1 - 0.09) / (1 + 0.09)
+"""Scattering of water grows with it times cos² of the angle, for a depolarisation of .09."""

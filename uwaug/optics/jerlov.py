@@ -1,9 +1,8 @@
-"""Tables of the Jerlov water types, as the package `jerlov` holds them, with misprints repaired."""
+"""Tables of the Jerlov water types, with misprints repaired; sources: `waters/NOTICE`."""
 
-import re
-import warnings
-from collections import defaultdict
-from typing import NamedTuple
+import csv
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -28,105 +27,34 @@ JERLOV_TYPES = tuple(IN_WORDS)
 """The Jerlov water types as they are classified: open ocean, then coast, clear to turbid."""
 
 
-class Source(NamedTuple):
-    """A source of tables that `jerlov` holds.
-
-    Attributes:
-        cited: paper and doi.
-        low, high: range to use, nm, in which all three quantities have to be known.
-        repairs: source of `jerlov` that fills the gaps of a quantity, and its citation. (The gaps
-            of b come reconstructed from `jerlov` itself.)
-        misprint: reason why a quantity has gaps beside values.
-        flags: meaning of each flag of `jerlov`.
-    """
-
-    cited: str
-    low: float
-    high: float
-    repairs: dict[str, tuple[str, str]]
-    misprint: str
-    flags: dict[str, str]
-
-
-_LABELS = {"a": "a", "b": "b", "kd": "K_d"}
-_MEASURED = ("williamson2022", "Williamson & Hollins 2022")
-_JERLOV = ("jerlov1976", "Jerlov 1976, Table XXVII")
-_MISPRINT = "misprinted in Solonenko & Mobley 2015, Table 7"
-
-SOURCES = {
-    "solonenko2015": Source(
-        cited="Solonenko & Mobley 2015, doi:10.1364/AO.54.005392",
-        low=300,
-        high=700,
-        repairs={"a": _MEASURED, "kd": _JERLOV},
-        misprint=_MISPRINT,
-        flags={
-            "suspect": "suspect: disagrees with the particle concentrations of the paper's own "
-            "Table 3",
-            "reconstructed": f"reconstructed from Eq. (8) and Table 3 of the paper ({_MISPRINT})",
-        },
-    ),
-    "williamson2022": Source(
-        cited="Williamson & Hollins 2022, doi:10.1364/AO.470464",
-        # K_d was printed for 310–700 nm; the package extrapolates beyond
-        low=310,
-        high=700,
-        repairs={"kd": _JERLOV},
-        misprint="not printed",
-        flags={"model_extrapolation": "extrapolated by the paper's model (measured at 412–715 nm)"},
-    ),
-}
+SOURCES = ("solonenko2015", "williamson2022")
+"""Names of the tables. A new one is a file of `waters`, with lines of `provenance.csv`."""
 
 
 def repaired_table(type: str, source: str) -> tuple[Array, dict[str, Array], list[str]]:
     """Wavelengths [nm], spectra a, b and kd [1/m] without gaps, and their sources, of a water type;
     see `Water.jerlov`.
     """
-    import jerlov
-
     checks.one_of("source", source, SOURCES)
-    types = jerlov.SOURCES[source].water_types
+    rows = _rows(source)
+    types = dict.fromkeys(row["type"] for row in rows)
     if type not in types:
         names = ", ".join(types)
         raise ValueError(f"type must be one of {names} with source {source!r}, got {type!r}")
-    origin = SOURCES[source]
-    grid = jerlov.water(type, source=source).wavelengths
-    grid = grid[(grid >= origin.low) & (grid <= origin.high)]
-    spectra, notes = {}, []
-    for key, label in _LABELS.items():
-        values, flags = _tabulated(type, source, key, grid)
-        gaps = np.isnan(values)
-        if not gaps.all():
-            notes.append(f"Jerlov {type}: {label}: {origin.cited}")
-        if gaps.any():
-            if key not in origin.repairs:
-                raise ValueError(f"source {source!r} has no {label} for type {type!r}")
-            repair, cited = origin.repairs[key]
-            values[gaps], _ = _tabulated(type, repair, key, grid[gaps])
-            reason = "not in this source" if gaps.all() else origin.misprint
-            flags[f"{cited} ({reason})"] = grid[gaps].tolist()
-        for flag, nm in flags.items():
-            subject = f"{label} at {min(nm):g}–{max(nm):g} nm"
-            notes.append(f"Jerlov {type}: {subject}: {origin.flags.get(flag, flag)}")
-        spectra[key] = values
-    return grid, spectra, notes
+    axis, *spectra = (
+        np.array([float(row[key]) for row in rows if row["type"] == type])
+        for key in ("wavelength", "a", "b", "kd")
+    )
+    notes = [
+        f"Jerlov {type}: {row['note']}"
+        for row in _rows("provenance")
+        if (row["source"], row["type"]) == (source, type)
+    ]
+    return axis, dict(zip(("a", "b", "kd"), spectra, strict=True)), notes
 
 
-def _tabulated(
-    type: str, source: str, key: str, grid: Array
-) -> tuple[Array, dict[str, list[float]]]:
-    """One quantity, NaN where `jerlov` has none, and the wavelengths of each flag it raises."""
-    import jerlov
-
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", jerlov.ProvenanceWarning)
-        try:
-            values = getattr(jerlov.water(type, source=source), key)(grid)
-        except jerlov.MissingQuantityError:
-            values = np.full(grid.size, np.nan)
-    flags: dict[str, list[float]] = defaultdict(list)
-    for warning in caught:
-        for flag, nm in re.findall(r"(\w+) at ([\d.]+) nm", str(warning.message)):
-            flags[flag].append(float(nm))
-    flags.pop("missing", None)
-    return values, flags
+@cache
+def _rows(name: str) -> list[dict[str, str]]:
+    path = Path(__file__).parent / "waters" / f"{name}.csv"
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))

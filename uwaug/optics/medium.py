@@ -284,8 +284,7 @@ class Medium:
         tensors: dict[str, Any] = {name: row_of(array) for name, array in arrays.items()}
         medium = Medium(**tensors, law=law, notes=(note,))
         if len(arrays["direct_weights"]) == 9:  # else they are no memory of the tensors
-            names = tuple(Medium.TENSORS)[:8]
-            vars(medium)["_weights"] = Weights(*[arrays[name][None] for name in names])
+            vars(medium)["_weights"] = Weights(*[arrays[name][None] for name in _OF_WEIGHTS])
         return medium
 
     @staticmethod
@@ -413,8 +412,8 @@ class Medium:
         reduced: Weights | None = vars(self).get("_weights")
         if reduced is not None:
             return reduced
-        arrays = (x.detach().cpu().double().contiguous().numpy() for x in self.tensors()[:8])
-        beta, direct, G, signal, veil, *width = arrays
+        tensors = (getattr(self, name).detach().cpu().double() for name in _OF_WEIGHTS)
+        beta, direct, G, signal, veil, *width = (x.contiguous().numpy() for x in tensors)
         direct, signal = (nine_rows(x.reshape(len(x), -1, x.shape[-1])) for x in (direct, signal))
         return Weights(beta, direct, G, signal, veil, *width)
 
@@ -662,6 +661,8 @@ OF_LAMPS = tuple(name[5:] for name in Medium.TENSORS if name.startswith("lamp_")
 """Tensors that a medium has twice, for daylight and for lamps."""
 
 _OF_WIDTHS = ("b_mean", "scale", "exponent")
+
+_OF_WEIGHTS = (*OF_LAMPS, *_OF_WIDTHS)
 
 
 def _short(numbers: Tensor) -> str:

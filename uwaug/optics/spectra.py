@@ -168,7 +168,7 @@ def read_spectra(
                     rows.append([])
                 if len(rows[-1]) != len(names):
                     # the row is not shown: a preset of somebody else may name a private file
-                    count = {3: "three", 4: "four"}[len(names)]
+                    count = {2: "two", 3: "three", 4: "four"}[len(names)]
                     raise ValueError(
                         f"{path}, line {reader.line_num}: expected {count} numbers, "
                         f"{', '.join(names)}, separated by commas or semicolons, below a header "

@@ -13,6 +13,9 @@ from uwaug._support.codec import plain
 Vector = tuple[float, float, float]
 Size = tuple[int, int]
 
+_WIDEST = 8.0
+"""Largest width of a picture in focal lengths: 152°, wider than any view without fisheye."""
+
 
 @plain
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class View:
     @staticmethod
     def of(value: "View | float") -> "View":
         """A view, or one of so many degrees."""
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
+        if isinstance(value, (int, float)):
             return View(value)
         checks.instance("view", value, View, "; or give its angle in degrees")
         return value
@@ -58,12 +61,23 @@ class View:
     def focal(self, width: Any) -> Any:
         """Focal length, px, in a picture of this width, px."""
         if self.focal_px is not None:
+            if isinstance(width, int) and width > _WIDEST * self.focal_px:
+                cure = f"a lens of f mm before a sensor w mm wide has f/w·{width} px"
+                got = f"view: focal_px must be in px of the picture, got {self.focal_px:g}"
+                raise ValueError(f"{got}: {cure}")
             return self.focal_px
         return width / (2 * math.tan(math.radians(self.degrees / 2)))
 
     def middle(self, size: Size) -> tuple[float, float]:
         """Column and row, px, of the axis in a picture of (height, width) `size`."""
         return self.center or ((size[1] - 1) / 2, (size[0] - 1) / 2)
+
+    def planar(self, width: int) -> dict[str, Any]:
+        """Focal length and centre as `uwaug.distance.along_ray` takes them, which counts px from
+        the corner of the first pixel.
+        """
+        center = None if self.center is None else tuple(place + 0.5 for place in self.center)
+        return {"focal_px": self.focal(width), "center": center}
 
     def crop(self, size: Size, left: int, top: int) -> "View":
         """The view of a crop whose first pixel is that of a column and a row of a picture of

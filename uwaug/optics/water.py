@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Self
 
@@ -413,9 +413,6 @@ class Water(Spectra):
     def _pure(self) -> Array:
         """a, b and K_d (3, N) of the pure sea water in this water."""
         nm = self.wavelengths
-        if nm[0] < 300 or nm[-1] > 800:
-            cure = "resample with .at() first"
-            raise ValueError(f"pure water is tabulated at 300–800 nm, but {self} leaves it: {cure}")
         absorption, scattering = pure_water(nm.tobytes())  # an array is no key
         a, b = np.minimum(self.a, absorption), np.minimum(self.b, scattering)
         return np.array([a, b, np.minimum(self.kd, a + b / 2)])
@@ -590,13 +587,6 @@ def _contents_for(
 def eye(low: float, high: float) -> tuple[Array, Array]:
     """Wavelengths between two that the eye sees, nm, and weights by the CIE 1931 observer's ȳ."""
     nodes = np.linspace(max(low, _VISIBLE_NM[0]), min(high, _VISIBLE_NM[1]), _EYE_NODES)
-    weights = np.interp(nodes, *_observer())
+    observer = read_spectra(Path(__file__).parent / "observer.csv", {"y": "luminance"})
+    weights = np.interp(nodes, observer["wavelength"], observer["y"])
     return nodes, weights / weights.sum()
-
-
-@cache
-def _observer() -> tuple[Array, Array]:
-    import jerlov
-
-    wavelengths, xyz = jerlov.cie_1931_cmf()
-    return wavelengths, xyz[:, 1]

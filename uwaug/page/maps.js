@@ -223,9 +223,7 @@ export function madeUp(pixels, width, height, random, cue, near = 1, far = 8) {
     for (let v = top; v < bottom; v++) for (let u = left; u < right; u++) total += pixels[4 * (v * width + u) + c];
     area.values[i++] = total / (bottom - top) / (right - left) / 255;
   }
-  const mirrored = ({ width, values }) => values.map((_, i) => values[i - i % width + width - 1 - i % width]);
-  const one = guessed(area, cue), other = guessed({ ...area, values: mirrored(area) }, cue);
-  const answer = mirrored(other).map((value, i) => (value + one.values[i]) / 2), ramp = random() < 0.03;
+  const answer = guessed(area, cue).values, ramp = random() < 0.03;
   let log = ramp ? Float32Array.from({ length: n }, (_, p) => -Math.floor(p / w)) : answer.subarray(0, n);
   const chance = Float32Array.from({ length: n }, (_, p) => ramp ? 0 : 1 / (1 + Math.exp(-answer[n + p])));
   let open = chance.map(value => Math.min(Math.max((value - 0.4) / 0.2, 0), 1));

@@ -5,6 +5,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from uwaug._support.atomic import require_regular
 from uwaug.optics.camera import Camera
 from uwaug.optics.water import Water
 from uwaug.presets.files import preset_path
@@ -60,10 +61,12 @@ def read_tables(path: Path) -> dict[str, Any]:
 
     Raises:
         ValueError: the file is no TOML.
+        OSError: it is no regular file.
     """
+    require_regular(path)
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: not a TOML file: {error}") from error
     water = tables.get("water", {})
     if not isinstance(water, dict):

@@ -166,7 +166,7 @@ def scenes_of(
     if not chosen:
         return Scenes(image, pictures)
     with checks.full_precision(pictures):
-        metres = _metres_of(source, pictures, maps, draws, space)
+        metres = _metres_of(source, pictures, maps, draws, space, view)
         submerged = pictures if len(chosen) == len(pictures) else pictures[chosen]
         light = getattr(nouns["light"], "value", None)  # the same for all pictures, in metres
         camera = {"metered": nouns["development"].metered, "lamps": bool(light and light.lamps)}
@@ -219,6 +219,7 @@ def _metres_of(
     maps: Sequence[Tensor | None],
     draws: Sequence[Draw],
     color_space: ColorSpace,
+    view: View,
 ) -> Tensor:
     """Distances (Nx1xHxW, m) of those pictures (Bx3xHxW) that are degraded. Maps of `Metres()` come
     as they are; for another source a device may have to wait for each picture.
@@ -235,7 +236,8 @@ def _metres_of(
                 light = picture if picture.is_floating_point() else picture / 255
                 srgb = linear_to_srgb(light.clamp(0, 1))
             with naming(i, len(pictures)):
-                metres = source.metres(metres, srgb, draw.distance)
+                rays = view.planar(picture.shape[-1])
+                metres = source.metres(metres, srgb, draw.distance, **rays)
         if metres.dtype.itemsize < 4:
             metres = metres.float()
         results.append(brought_to(picture.shape[-2:], metres))
