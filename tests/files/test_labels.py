@@ -157,7 +157,7 @@ VOC = """<annotation><folder>a</folder><filename>1.jpg</filename><path>/home/me/
 <ymax>6.0</ymax></bndbox></object></annotation>"""
 HALVES = np.repeat(np.uint8([[0] * 4 + [1] * 4]), H, 0)
 SHARES = "expected a class, and shares"
-POINTS = "numbers are polygons, or have keypoints: say kpt_shape"
+POINTS = "numbers are polygons, or have keypoints: .* needs a data.yaml with kpt_shape"
 PANOPTIC = {"image_id": 1, "file_name": "a.png", "segments_info": [{"id": 3226956}]}
 SAME = {"images": [IMAGES[0], IMAGES[1] | {"id": 1}]}
 

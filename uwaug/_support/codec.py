@@ -20,10 +20,8 @@ _KINDS: dict[str, type] = {}
 
 
 def plain(kind: type[T]) -> type[T]:
-    """Let the codec write a dataclass as a dictionary: {"kind": its name, attributes…}.
-
-    Raises:
-        TypeError: if another class has the name.
+    """Let the codec write a dataclass as a dictionary: {"kind": its name, attributes…}. The name
+    must be that of no other.
     """
     taken = _KINDS.get(kind.__name__, kind)
     # a module that is loaded anew replaces its own
@@ -36,10 +34,7 @@ def plain(kind: type[T]) -> type[T]:
 
 def to_plain(value: Any) -> Any:
     """Turn a value into numbers, strings, lists and dictionaries; a dataclass into its kind and the
-    fields that differ from their defaults.
-
-    Raises:
-        TypeError: if the value is, or holds, anything else, such as a function.
+    fields that differ from their defaults. Anything else, such as a function, is refused.
     """
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
@@ -109,8 +104,8 @@ def _read(name: str, data: Any, hints: tuple[Any, ...]) -> Any:
         raise TypeError(f"{kind.__name__}: {error}") from None
 
 
+# words that people write after `--set`
 _TRUTH = {"true": True, "on": True, "yes": True, "false": False, "off": False, "no": False}
-"""Words for True and False, as people write them after `--set`."""
 
 
 def _scalar(name: str, value: Any, hints: tuple[Any, ...]) -> Any:

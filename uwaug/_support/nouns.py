@@ -14,17 +14,12 @@ from uwaug._support.ranges import Range, as_range
 Drawn = Mapping[str, Any]
 """Numbers of a noun that a picture has drawn, by name, as JSON holds them."""
 
-SEEDS = 2**32
-"""Seeds are whole numbers from 0 to below this one."""
+SEEDS = 2**32  # seeds are whole numbers from 0 to below this one
 
 
 class Uniform:
-    """Random numbers of 0…1 by name, for one picture. Each follows from key and name alone: a range
-    that comes or goes changes no other.
-
-    Args:
-        key: the picture's, 8 bytes.
-        noun: prefix of all names.
+    """Random numbers of 0…1 by name, for one picture. Each follows from the picture's key (8 bytes)
+    and the name alone: a range that comes or goes changes no other.
     """
 
     def __init__(self, key: bytes, noun: str = "") -> None:
@@ -51,12 +46,8 @@ class Domain(NamedTuple):
 def number(
     default: Any, least: float = -math.inf, most: float = math.inf, *, logarithmic: bool = False
 ) -> Any:
-    """Declare a field of a noun: a number, or a range (low, high) that each picture draws from.
-
-    Args:
-        default: a number, a range, or None where nothing is drawn.
-        least, most: domain of the number.
-        logarithmic: draw its logarithm uniformly, not the number itself.
+    """Declare a field of a noun: a number, or a range (low, high) that each picture draws from, or
+    None where nothing is drawn. `least` and `most` are the number's domain.
     """
     return field(default=default, metadata={"domain": Domain(least, most, logarithmic)})
 

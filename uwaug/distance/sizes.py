@@ -8,13 +8,8 @@ from torch.nn.functional import interpolate, max_pool2d, pad
 
 from uwaug._support.once import Once
 
-_STEP_TIMES = 1.25
-"""Ratio of neighbouring distances from which on there is an edge between them; see "Sizes" in
-benchmarks/CHOICES.md.
-"""
-
-_ASPECT_TOLERANCE = 0.01
-"""Relative difference of aspects that may pass, as sizes are rounded to whole pixels or blocks."""
+_STEP_TIMES = 1.25  # ratio of neighbours from which on there is an edge: CHOICES.md, "Sizes"
+_ASPECT_TOLERANCE = 0.01  # relative: sizes are rounded to whole pixels or blocks
 
 _size_warning = Once()
 

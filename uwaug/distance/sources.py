@@ -25,15 +25,12 @@ from uwaug.distance.unknown import (
 
 _Policy = Literal["error", "fill", "behind", "far"]
 Holes = _Policy | float
-"""Treatment of pixels without a distance. "error": an error. "fill": a distance from the known ones
-around. "behind": a distance from those behind, for the shadows and the range of depth cameras (see
-`fill_unknown`). "far": open water. A number: as many metres.
+"""Treatment of pixels without a distance: an error; a distance from around; one from behind, for
+depth cameras (see `fill_unknown`); open water; or a number of metres.
 """
 
+_LEAST_NEAR_M = 1e-6  # that relative distance 0 gets with near = 0: a distance of 0 means unknown
 _stand_in_warning = Once()
-
-_LEAST_NEAR_M = 1e-6
-"""Metres that relative distance 0 gets with near = 0: a distance of 0 means unknown."""
 
 
 class Source(Noun):
@@ -66,14 +63,12 @@ class Source(Noun):
         """Compute the distances of a picture: metres above 0, or +inf for open water.
 
         Args:
-            distance (1xhxw tensor): the picture's map, if the source reads maps; of the picture's
-                aspect. The result has its size.
-            image (3xHxW tensor): the picture; uint8, or floating point in 0…1. sRGB where
-                `reads_pictures`.
+            distance (1xhxw tensor): the picture's map, of its aspect, if the source reads maps. The
+                result has its size.
+            image (3xHxW tensor): the picture; uint8, or floating point in 0…1.
             drawn: numbers that the picture has drawn, by name.
             focal_px: focal length, px of the picture; planar maps need it.
-            center: pixel (x, y) of the picture through which the optical axis goes; its middle if
-                None.
+            center: pixel (x, y) of the optical axis; the picture's middle if None.
 
         Raises:
             ValueError: if the map holds something else, or has holes without a treatment.
@@ -87,13 +82,10 @@ class Metres(Source):
     """Maps of metres along the ray, or of planar depth.
 
     Attributes:
-        holes: treatment of NaN, 0 and negative distances, see `Holes`; and of stand-ins for "no
-            distance": a largest value beyond 50 m, far from all others, that a type cannot exceed,
-            such as 65.535, or that has one or two digits, such as 1000. With "error" a stand-in
-            from 100 m on is open water, as is 1e7 m and more; a nearer one stays, with a warning.
-            Geometric transforms pad with 0.
-        planar: maps hold depth along the optical axis, as depth cameras and renderers write it, see
-            `along_ray`.
+        holes: treatment of NaN, 0 and negative distances, see `Holes`; and of stand-ins beyond 50
+            m, far from all others, such as 65.535 or 1000. With "error" a stand-in from 100 m on is
+            open water, as is 1e7 m and more; a nearer one stays, with a warning.
+        planar: maps hold depth along the optical axis, as depth cameras and renderers write it.
     """
 
     holes: Holes = "error"
@@ -132,19 +124,15 @@ class Metres(Source):
             checks.positive("focal_px", focal_px, "px")
             (h, w), (height, width) = z.shape[-2:], image.shape[-2:]
             x, y = center or (width / 2, height / 2)
-            z = along_ray(
-                z,
-                (focal_px * w / width, focal_px * h / height),
-                (x * w / width, y * h / height),
-            )
+            focal = focal_px * w / width, focal_px * h / height
+            z = along_ray(z, focal, (x * w / width, y * h / height))
         return _without_holes(z, self.holes)
 
 
 @codec.plain
 @dataclass(frozen=True)
 class Relative(Source):
-    """Maps of relative distance, 0 = near, 1 = far: near + (far − near)·t^gamma, see
-    `from_relative`. Order and proportions of the scene are right, its size is drawn.
+    """Maps of relative distance, 0 = near, 1 = far: near + (far − near)·t^gamma.
 
     Attributes:
         near, far: m; numbers or (low, high).
@@ -176,13 +164,12 @@ class Relative(Source):
 @dataclass(frozen=True)
 class Inverse(Source):
     """Maps of inverse depth as monocular networks give it: large = near, of unknown scale and
-    shift. Every map is stretched to reach from near to far, even that of a flat scene, see
-    `from_inverse`.
+    shift. Every map is stretched to reach from near to far, even that of a flat scene.
 
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
-        holes: treatment of NaN, infinite values, and stand-ins such as 0 where a matcher has found
-            nothing, see `Holes`; "error" only warns of 0, which may be the sky.
+        holes: treatment of NaN, infinite values, and stand-ins, see `Holes`; "error" only warns of
+            0, which may be the sky.
     """
 
     near: Range = number(1.0, 0.0)
@@ -205,9 +192,7 @@ class Inverse(Source):
 @dataclass(frozen=True)
 class Plane(Source):
     """Plane that faces the camera, in place of maps: one veil, cast and blur for each picture.
-
-    That suits a flat scene. Elsewhere far things do not fade first, and a network may learn only
-    the tint.
+    Elsewhere than in a flat scene, a network may learn only the tint.
 
     Attributes:
         distance: m; a number or (low, high).
@@ -273,8 +258,6 @@ def _without_holes(z: Tensor, holes: Holes) -> Tensor:
     # the least is NaN if any is; a mask of all pixels takes several times as long
     if z.numel() and not z.detach().amin() > 0:
         counts = checks.counted(z, "NaN", "negative", "zero")
-        cure = (
-            "give holes='behind' (--holes behind; for maps of depth cameras), fill, far or metres"
-        )
+        cure = "holes='behind' (--holes behind, for depth cameras), fill, far or metres"
         raise ValueError(f"distance must be above 0 m, but is {counts}: {cure}")
     return z

@@ -42,8 +42,7 @@ def write_maps(
         network: a network in a file.
         items: pictures, see `find_items`.
         out: folder to write to, made if need be.
-        workers, resume, force, progress: as for `degrade`; each process has its own network.
-        sheet: draw some of the maps on sheet.jpg, bright where they are near.
+        workers, resume, force, sheet, progress: as for `degrade`.
 
     Raises:
         TypeError: if the network is a function.

@@ -16,17 +16,11 @@ _FILM_PLANE_M = (1.0, 5.0)  # least and largest distance of the plane that a fil
 
 
 class Distances(NamedTuple):
-    """The distances of a run.
+    """The distances of a run."""
 
-    Attributes:
-        source: plain value of `RandomUnderwater(distance=…)`; None for its default.
-        maps: file, folder or pattern of maps, for `find_items`; None without maps.
-        note: a sentence to tell, or "".
-    """
-
-    source: Any
-    maps: str | None
-    note: str = ""
+    source: Any  # plain value of `RandomUnderwater(distance=…)`; None for its default
+    maps: str | None  # file, folder or pattern of maps, for `find_items`
+    note: str = ""  # a sentence to tell
 
 
 def distances_of(
@@ -51,7 +45,7 @@ def distances_of(
         plane = read_range(distance)
         if plane is not None:
             if has_options:
-                cure = "unit, holes and distance.… are of maps; leave them out"
+                cure = "leave out unit, holes and distance.…, which are of maps"
                 raise ValueError(f"distance is {distance} m for all of a picture: {cure}")
             return Distances(plane, None)
         if (word := WORDS.get(distance)) is not None:

@@ -24,8 +24,7 @@ def formats() -> str:
 
 
 def open_labels(path: str | Path, items: Sequence["Item"]) -> Labels:
-    """Open the labels of pictures in a file or a folder. The format is recognised by the files that
-    belong to the pictures.
+    """Open the labels of pictures in a file or a folder, in any of the formats.
 
     Raises:
         ValueError: if no format has labels for any picture; the error says what was looked for.

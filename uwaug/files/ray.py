@@ -31,9 +31,8 @@ def on_ray(work: Any, jobs: Sequence[Any], address: str, workers: int) -> Iterat
 
     Args:
         work, jobs: as of `on_processes`. Every machine needs the files that jobs name.
-        address: "local" starts Ray on this machine, and ends it with the run; "auto" finds a
-            cluster that this machine is part of; or host:port. A Ray that was started in this
-            process is used first.
+        address: "local" starts Ray here, and ends it with the run; "auto" finds a cluster that this
+            machine is part of; or host:port. A Ray of this process is used first.
         workers: number of cores for "local".
 
     Raises:

@@ -48,8 +48,8 @@ def degrade(
     """Put pictures in files under water.
 
     Each picture gets a record beside it, from which `replay` makes it again; index.csv lists all.
-    The same recipe and name give the same bytes, whatever the number of workers, their order, and
-    interruptions. A picture that fails does not stop the others.
+    The same recipe and name give the same bytes, whatever the number of workers, and interruptions.
+    A picture that fails does not stop the others.
 
     Args:
         recipe: transform and options.
@@ -60,14 +60,12 @@ def degrade(
         force: remove first what an earlier run has written to `out`.
         sheet: draw some of the results on sheet.jpg.
         beside: real photographs to draw there, below them.
-        ray: address of a Ray cluster in place of processes: "local", "auto", or host:port. All its
-            machines must see the same folders.
-        progress: function that is called after each picture with the number of finished pictures
-            and of all.
+        ray: address of a Ray cluster in place of processes: "local", "auto", or host:port.
+        progress: function of the numbers of finished and of all pictures.
 
     Raises:
-        ValueError: if an option does not suit, labels belong to none of the pictures, two pictures
-            would be one file, or a file would be written over that is read.
+        ValueError: if an option or labels do not suit, two pictures would be one file, or a file
+            would be written over that is read.
         FileExistsError: if `out` holds anything but a run to `resume` or to redo by `force`, or
             another run is at work there.
         OSError: if `out` cannot be written.
@@ -131,7 +129,7 @@ def replay(
     force: bool = False,
 ) -> None:
     """Make a picture again from its record, to the byte with the same versions of uwaug, PyTorch
-    and numba (or without it, as the record says) on the same kind of processor.
+    and numba on the same kind of processor; with others, it warns.
 
     Args:
         record: file beside a picture that a run has written.
@@ -139,11 +137,8 @@ def replay(
         picture, distance: the picture's sources, if they have moved.
         force: write over an existing file.
 
-    Warns:
-        UserWarning: if the record is of other versions.
-
     Raises:
-        ValueError: if the file is no record, or picture and distances do not suit or have changed.
+        ValueError: if the file is no record, or picture or distances have changed.
         FileExistsError: if `output` exists, without `force`.
         OSError: if a file cannot be read or written.
     """
@@ -156,8 +151,7 @@ def replay(
     record_versions = {name: entries[name] for name in versions()}
     if record_versions != versions():
         got = " and ".join(f"{name} {version}" for name, version in record_versions.items())
-        cure = "defaults and last bits may differ"
-        warnings.warn(f"{record} was written by {got}: {cure}", stacklevel=2)
+        warnings.warn(f"{record} was written by {got}: last bits may differ", stacklevel=2)
     recipe = codec.from_plain(entries["recipe"], Recipe)
     files = []
     for source, new_path in ((entries["picture"], picture), (entries["distance"], distance)):
@@ -179,9 +173,7 @@ def replay(
 def _labels_note(labels: Labels, items: Sequence[Item]) -> str:
     """The sentence on the format of labels, and on the pictures that have some."""
     unlabelled = [item.name for item in items if item.name not in labels.of]
-    rest = ""
-    if unlabelled:
-        rest = f", not to {unlabelled[0]}" + " and others" * (len(unlabelled) > 1)
+    rest = f", not to {unlabelled[0]}" if unlabelled else ""
     count = len(items) - len(unlabelled)
     return f"labels, {labels.reads}, belong to {count} of {len(items)} pictures{rest}"
 

@@ -14,10 +14,8 @@ if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
-# Files in which tools leave the names of classes, one a line.
-_CLASS_FILES = ("classes.txt", "obj.names", "_darknet.labels")
-# Keys of a data.yaml with the places of pictures.
-_PLACE_KEYS = ("train", "val", "validation", "test", "path", "download")
+_CLASS_FILES = ("classes.txt", "obj.names", "_darknet.labels")  # with a class in each line
+_PLACE_KEYS = ("train", "val", "validation", "test", "path", "download")  # of a data.yaml
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +25,11 @@ class Yolo(Folder):
     A line is `class cx cy w h`, with or without a confidence, or `class x1 y1 x2 y2 x3 y3 …` for a
     polygon. All but the class are shares of the picture's width or height. Where the data.yaml has
     `kpt_shape`, keypoints follow the box.
-
-    Attributes:
-        description: content of the data.yaml.
-        told: sentences on where classes are from.
-        splits: splits of each picture that the description names for it.
     """
 
-    description: Entry = field(default_factory=dict)
-    told: Sequence[str] = ()
+    description: Entry = field(default_factory=dict)  # content of the data.yaml
+    told: Sequence[str] = ()  # sentences on where classes are from
+    # those of each picture that the description names
     splits: Mapping[str, list[str]] = field(default_factory=dict)
 
     reads = "a folder of YOLO's .txt"
@@ -76,8 +70,8 @@ class Yolo(Folder):
         counts = {len(numbers) for file in samples if (numbers := _first(file))}
         if len(counts) == 1 and min(counts) > 6:
             got = f"{samples[0]}: objects of {min(counts)} numbers are polygons, or have keypoints"
-            cure = "say kpt_shape: [how many, 2 or 3], or of polygons nothing but names"
-            raise ValueError(f"{got}: {cure}, in {self.path / 'data.yaml'}")
+            cure = "a data.yaml with kpt_shape: [how many, 2 or 3], or of polygons with names alone"
+            raise ValueError(f"{got}: {self.path} needs {cure}")
         return replace(self, description=classes, told=_told(source, classes, lists))
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
