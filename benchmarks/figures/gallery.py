@@ -45,7 +45,7 @@ DEPTHS = (0.0, 5.0, 10.0, 20.0, 30.0)
 HERO = {"reef": 13, "coffee": 22, "chelsea": 5}
 """Seeds, chosen by eye."""
 
-GREEN, RED = torch.eye(3)[1], torch.eye(3)[0]
+GREEN, RED = torch.eye(3)[:, 1:2], torch.eye(3)[:, :1]
 
 QUALITY = 70
 
@@ -106,10 +106,12 @@ def default_draws() -> Image.Image:
 
 
 def detection() -> Image.Image:
-    """The fish of the reef as water thickens: boxes that stay, green, and those that go, red."""
+    """The fish of the reef as water thickens: boxes that stay, green, and dashed those that go."""
     image, distance, boxes = reef()
     camera = RandomDevelopment(exposure=-0.5, white_balance=0.3, saturation=1, gamut=1, tone=1)
     numbers = torch.arange(len(boxes))
+    y, x = torch.meshgrid(*map(torch.arange, image.shape[-2:]), indexing="ij")
+    dashes = (x + y) % 8 < 5
 
     def framed(picture: Tensor, kept: Tensor) -> Tensor:
         picture = picture.clone()
@@ -118,7 +120,10 @@ def detection() -> Image.Image:
             frame = torch.zeros(picture.shape[-2:], dtype=torch.bool)
             frame[max(0, top) : bottom, max(0, left) : right] = True
             frame[max(0, top + 2) : bottom - 2, max(0, left + 2) : right - 2] = False
-            picture[:, frame] = (GREEN if number in kept else RED)[:, None]
+            if number in kept:
+                picture[:, frame] = GREEN
+            else:
+                picture[:, frame & dashes] = RED
         return picture
 
     cells = [(framed(image, numbers), f"in air: {len(boxes)} fish")]

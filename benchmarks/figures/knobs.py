@@ -106,7 +106,7 @@ def knobs(image: Tensor, distance: Tensor) -> Image.Image:
         cells = []
         for value in five:
             shown = f"{value:.3g}" if isinstance(value, float) else str(value)
-            shown = {"field": "1 +- ", "point_spread": "×"}.get(name, "") + shown
+            shown = {"field": "1 ± ", "point_spread": "× "}.get(name, "") + shown
             label = shown if cells else f"{name} = {shown}"
             cells.append((at(name, value, image, distance), label))
         rows.append(cells)

@@ -3,9 +3,19 @@ from dataclasses import replace
 import pytest
 import torch
 
-from uwaug import Lamp, Light, Water, load_preset, published
+from uwaug import (
+    Lamp,
+    Light,
+    Medium,
+    PointSpread,
+    Underwater,
+    Water,
+    load_preset,
+    published,
+)
 from uwaug.figures import comparison, demo
 from uwaug.figures.demo import preset_case, water_case
+from uwaug.formation.colour import decoded
 from uwaug.presets.scene import Scene
 
 
@@ -55,6 +65,15 @@ def test_the_terms_are_those_of_the_picture_beside_them(shown, small):
         else:  # no term is brighter than all of them
             for term in (direct, forward, backscatter):
                 assert (term.clamp(0, 1) <= image + 0.05).all()
+
+
+def test_the_terms_are_blurred_by_the_view_of_the_scene(shown, small):
+    case = water_case(Water.jerlov("3C"), small)
+    medium = Medium.from_water("3C", g=0.1, point_spread=PointSpread.calibrated())
+    module = Underwater(medium, None, view=small.view)  # no colour leaves sRGB
+    demo.draw_terms(small, case._replace(module=module))
+    total = sum(decoded(shown[name][0], "srgb") for name in "DFB")
+    torch.testing.assert_close(total.clamp(0, 1), decoded(shown["I"][0], "srgb"), atol=2e-3, rtol=0)
 
 
 def test_a_preset_with_lamps_is_not_shown_by_daylight():

@@ -46,6 +46,15 @@ def test_words_stay_within_their_cell(words):
     assert ink(drawn, drawn.width - 12, 0, drawn.width, drawn.height) == 0
 
 
+def test_letters_that_the_font_lacks_are_replaced():
+    white = torch.ones(3, 20, 30)
+    texts = [f"{c}a" for c in (*sheets._LETTERS, "\uffff")]
+    drawn = [sheets._font(20).getmask(text).getbbox() for text in texts]
+    assert drawn[-1] not in drawn[:-1]
+    shown = [sheets.sheet([[(white, words)]]) for words in ("10×2 é.png", "10x2 ?.png")]
+    assert shown[0] == shown[1]
+
+
 def test_ends_of_a_span_have_the_first_and_the_last_colour():
     z = torch.tensor([[[0.0, 1.0, 2.0, 3.0, torch.inf]]])
     picture = sheets.coloured(z, (1.0, 3.0), ("#ff0000", "#0000ff"))

@@ -17,7 +17,7 @@ LESS_TO_MORE = ("#2166ac", "#92c5de", "#f7f7f7", "#f4a582", "#b2182b")
 
 _INK, _GREY = "#1a1a1a", "#5a5a5a"
 _GAP_PX, _CAPTION_PX, _HEADING_PX, _SMALLEST_PX = 12, 15, 26, 9
-_LETTERS = frozenset("°×…")
+_LETTERS = frozenset("°…·±")
 """What Pillow's own font has beside ASCII."""
 
 Cell = tuple[Tensor, str]
@@ -90,6 +90,7 @@ def _fitted(picture: Tensor, size: tuple[int, int]) -> Image.Image:
 
 def _written(text: str, width: int, letters: int, colour: str) -> Image.Image:
     """Lines of text, smaller where they would be wider than that."""
+    text = text.replace("×", "x")
     text = "".join(c if c.isascii() or c in _LETTERS else "?" for c in text)
     lines = text.splitlines()
     strip = Image.new("RGB", (width, 7 * letters // 5 * len(lines)), "white")

@@ -32,6 +32,7 @@ _CURVES = {
 def plot(fit: Fit) -> "Figure":
     """Draw the first picture of a fit where it has one, its residuals, and its curves."""
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     notes = [textwrap.fill(note, _LINE_LETTERS) for note in fit.notes]
     words = "\n".join([f"A water from pictures: {fit.model}", *notes])
@@ -39,7 +40,7 @@ def plot(fit: Fit) -> "Figure":
     cells = 1 + bool(fit.remainder) + 2 * has_pair
     rows = 1 + (cells > 2)
     size = _WIDTH_IN, _ROW_IN * rows + _LINE_IN * (words.count("\n") + 2)
-    figure = Figure(size, dpi=100, layout="constrained")
+    figure = Figure(size, dpi=100, layout=ConstrainedLayoutEngine(w_pad=0.15, h_pad=0.15))
     figure.suptitle(words, x=0.2 / _WIDTH_IN, ha="left", fontsize=10, color=_INK, parse_math=False)
     axes = [figure.add_subplot(rows, -(-cells // rows), i + 1) for i in range(cells)]
     axes[-1].set_title("Curves of red, green and blue", loc="left", fontsize=12, color=_INK)
