@@ -125,7 +125,7 @@ POSITION = {f"View_Position_{axis}": of for axis, of in NORMAL.items()}
             layers(albedo=LIGHT / 2, beauty=LIGHT, Z=Z),
             "expected one layer of RGB, got Z, albedo, beauty",
         ),
-        (read_picture, in_acescg, r"primaries are 0\.713, .* convert it first"),
+        (read_picture, in_acescg, r"got 0\.713, .* convert it first"),
         (read_picture, in_adobe_rgb, "Adobe RGB, without a profile"),
         (read_picture, of_two_sizes, "holds 2 pictures"),
         (

@@ -202,8 +202,8 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("labels/reef/a.txt", "fish .5 .5 1 1\n", "a.txt: could not convert"),
     ("labels/reef/a.xml", "<annotations/>", "a.xml: expected an annotation"),
     ("labels/reef/a.xml", "<annotation", "a.xml: is no XML file"),
-    ("labels/reef/a.xml", VOC.replace("<xmin>1</xmin>", ""), "object 1: expected a bndbox of four"),
-    ("labels/reef/a.xml", VOC.replace("5.0", "a"), "object 2: expected a bndbox of four numbers"),
+    ("labels/reef/a.xml", VOC.replace("<xmin>1</xmin>", ""), "object 1: bndbox must be four"),
+    ("labels/reef/a.xml", VOC.replace("5.0", "a"), "object 2: bndbox must be four numbers"),
     ("labels/reef/a.xml", VOC.replace("<width>8", "<width>9"), "is of 9×6 px, its picture of 8×6"),
     ("labels/reef/a.png", png(np.zeros((3, 4), np.uint8)), "is of 4×3 px, its picture of 8×6 px"),
     ("labels/reef/a.png", png(pixels(40, 40)), "a.png: .* colours are"),
@@ -709,7 +709,7 @@ def test_polygons_are_no_keypoints(tmp_path: Path) -> None:
     ((one,), _) = labelled(tmp_path / "labels", names, tmp_path / "out")
     assert one.contrast == MIXED
     other.write_text(square)  # which may be a box with points, until a description says otherwise
-    with pytest.raises(ValueError, match="or of polygons nothing but names") as refused:
+    with pytest.raises(ValueError, match="or of polygons with names alone") as refused:
         opened(tmp_path / "labels", *names)
     assert "in " + str(tmp_path / "labels/data.yaml") in str(refused.value)
     write(tmp_path / "labels/data.yaml", "names: [fish]\n")

@@ -139,18 +139,15 @@ class Seeded(Noun):
     seed: int | None
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
-        """See `Noun.drawn`."""
         seed = int(uniform("seed") * SEEDS) if self.seed is None else self.seed
         return {**super().drawn(uniform), "seed": seed}
 
     def require(self, drawn: Drawn, name: str) -> None:
-        """See `Noun.require`."""
         require_names(drawn, {*self._ends, "seed"}, name)
         require_seed(f"params: {name}.seed", drawn["seed"])
         super().require({key: value for key, value in drawn.items() if key != "seed"}, name)
 
     def random(self) -> list[str]:
-        """See `Noun.random`."""
         return [*super().random(), *(["seed"] if self.seed is None else [])]
 
     def of(self, drawn: Drawn) -> Self:

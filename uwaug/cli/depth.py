@@ -18,8 +18,8 @@ def depth(
     network: Annotated[
         str,
         typer.Option(
-            help="ONNX file of a network that takes one picture; or one of the Hugging Face hub, "
-            "fetched once: owner/name:file, or depth-anything-v2-small, of 99 MB.",
+            help="ONNX file of a network; or one of the Hugging Face hub, fetched once: "
+            "owner/name:file, or depth-anything-v2-small, of 99 MB.",
             metavar="PATH|NAME",
         ),
     ] = "depth-anything-v2-small",

@@ -41,17 +41,11 @@ class Judged(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """Labels of the pictures of a run. A picture's `name` is its path below the folder of pictures.
+    """Labels of the pictures of a run."""
 
-    Attributes:
-        reads: files or folders of the format, in words.
-        path: file or folder of the labels.
-        of: entry of each picture that has labels, by its name.
-    """
-
-    reads: ClassVar[str]
-    path: Path
-    of: Mapping[str, Any]
+    reads: ClassVar[str]  # files or folders of the format, in words
+    path: Path  # file or folder
+    of: Mapping[str, Any]  # entry of each picture that has labels, by the name of its `Item`
 
     @classmethod
     def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":

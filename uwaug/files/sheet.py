@@ -24,12 +24,8 @@ def drawn_sheet(
     beside: Sequence[Path] = (),
 ) -> bytes:
     """A JPEG of pictures, each with its variants to the right, and names and captions below; then
-    of photographs to compare.
-
-    Args:
-        variants: the file of each picture, with the files of its variants.
-        read, caption: functions that give the picture (3xHxW) and the caption of a variant's file.
-        beside: files of the photographs.
+    of photographs to compare. `read` and `caption` give the picture (3xHxW) and the caption of a
+    variant's file.
     """
     step = max(1, (len(variants) - 1) // max(1, _MAX_PICTURES - 1))
     sample = variants[::step][:_MAX_PICTURES]

@@ -86,8 +86,7 @@ class Yolo(Folder):
                 shares = shares[:4] if "kpt_shape" in self.description else shares
                 is_whole = len(shares) >= 4 and len(shares) % 2 == 0
                 if not is_whole or not all(-0.5 <= share <= 1.5 for share in shares):
-                    expected = "expected a class, and shares of width and height, 0…1"
-                    raise ValueError(f"{expected}; keypoints need a kpt_shape in data.yaml")
+                    raise ValueError("expected a class, and shares 0…1; keypoints need a kpt_shape")
             except ValueError as error:
                 raise ValueError(f"{file}, line {number}: {error}") from error
             corners = [share * side for share, side in zip(shares, cycle(size[::-1]), strict=False)]
