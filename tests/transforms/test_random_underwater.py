@@ -581,7 +581,7 @@ THREE, ones = picture(3), torch.ones(3, 1, H, W)
 BAD = torch.zeros(3, 1, 1, 1).index_fill(0, torch.tensor(1), 1.0)
 SECOND = "^picture 1 of 3, counted from 0"
 REFUSED_INPUTS: dict[str, tuple[tuple[Any, Any], str]] = {
-    "no map": ((picture(), None), r"distance is missing: .*MadeUp, Network and Plane"),
+    "no map": ((picture(), None), r"distance is missing: .*MadeUp.*, Network.* or Plane"),
     "millimetres": ((THREE, ones + 3000 * BAD), rf"{SECOND}: distance must be in metres.*by 1000"),
     "holes": ((THREE, ones.where(BAD < 1, 0.0)), rf"{SECOND}: .* zero at 792 of 792 pixels: give"),
     "negative": ((THREE, ones - 9 * BAD), f"{SECOND}: distance must be above 0 m"),

@@ -111,10 +111,10 @@ def _scalar(name: str, value: Any, hints: tuple[Any, ...]) -> Any:
     if bool in hints and isinstance(value, str) and value.lower() in _TRUTH:
         return _TRUTH[value.lower()]
     expected = {kind for hint in hints if (kind := _scalar_type(hint))}
-    # a whole number is a number
-    if type(value) in expected or (type(value) is int and float in expected):
+    # where objects alone are expected, the class says what stands for one; an int is a number
+    if not expected or type(value) in expected or (type(value) is int and float in expected):
         return value
-    words = ", ".join(sorted(_IN_WORDS[kind] for kind in expected)) or "a table"
+    words = ", ".join(sorted(_IN_WORDS[kind] for kind in expected))
     raise ValueError(f"{name} must be {words}, got {value!r:.80}")
 
 

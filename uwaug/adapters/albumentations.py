@@ -19,8 +19,8 @@ except ImportError as missing:
     raise ImportError(f"{missing.name} is missing: {install('albumentations')}") from missing
 
 
+# kinds of targets that move with pictures and keep their values
 _MASKS = ("mask", "masks", "mask3d", "masks3d")
-"""Kinds of targets that move with pictures and keep their values."""
 
 
 class _Hooks:
@@ -56,12 +56,11 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
 
     Args:
         augment: a `RandomUnderwater`, or its options as a dict. Its `p` has to be 1.
-        distance_key: name of the map (HxW) of image in a call. So that it moves with the picture,
-            a pipeline needs it in `additional_targets={"distance": "mask"}`. The picture image2 has
-            the map distance2; left has distance_left; several in `images` (NxHxWx3) have
-            `distances` (NxHxW, of kind "masks"). AlbumentationsX moves further masks only beside a
-            mask: where there is none, give the map as the mask, by "mask". No map is needed where
-            `augment` makes distances (`MadeUp`, `Network`, `Plane`).
+        distance_key: name of the map (HxW) of image in a call; a pipeline needs it in
+            `additional_targets={"distance": "mask"}`. The picture image2 has the map distance2;
+            left has distance_left; `images` (NxHxWx3) have `distances` (NxHxW, of kind "masks").
+            AlbumentationsX moves further masks only beside a mask: where there is none, give the
+            map as the mask, by "mask". No map is needed where `augment` makes distances.
         scale: metres per unit of a map, such as .001 for mm.
         channels: order of the picture's colours; "bgr" with OpenCV and Ultralytics.
         p: probability, as in all transforms of Albumentations.
@@ -69,13 +68,12 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
     Targets:
         image, and others of its kind (`additional_targets`): HxWx3, uint8 (0…255), uint16
         (0…65535) or float32 (0…1); one draw for all, each at its distances. Grey, HxW or HxWx1,
-        comes out in colour. Pictures of `images` are frames of one film, see
-        `RandomUnderwater.for_clip`. Masks, boxes and keypoints stay as they are.
+        comes out in colour. Pictures of `images` are frames of one film. Masks, boxes and keypoints
+        stay as they are.
 
     Random numbers come from the pipeline: `A.Compose(…, seed=…)`. Albumentations 2.0 draws the same
     in all workers of a DataLoader and in all epochs: call
-    `pipeline.set_random_seed(torch.initial_seed())` in a `worker_init_fn`. AlbumentationsX does so
-    itself. `A.ReplayCompose` keeps
+    `pipeline.set_random_seed(torch.initial_seed())` in a `worker_init_fn`. `A.ReplayCompose` keeps
     the draw under "record" in its "replay", but no map.
 
     Raises:
@@ -120,8 +118,7 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
     def apply_with_params(self, params: Any, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """Degrade all pictures of a call as one record says, each with its own map."""
         record = getattr(params, "params", params)["record"]  # AlbumentationsX wraps the dict
-        # Albumentations gives `apply` no map; as parameters, maps would be kept for replays, which
-        # may be of other pictures
+        # maps as parameters would be kept for replays, which may be of other pictures
         result = dict(kwargs)
         for name, pictures in kwargs.items():
             if name in self._key2func and pictures is not None:
@@ -140,12 +137,11 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         """Map of a single picture (1xHxW), or maps of several (Nx1xHxW), m."""
         key = self.distance_key
         key = name.replace("image", key, 1) if "image" in name else f"{key}_{name}"
+        source, kind = ("MadeUp()", "mask") if single else ("(1, 5)", "masks")
         if targets.get(key) is None:
-            source = "MadeUp()" if single else "(1, 5)"
             cure = f"pass a map, or say RandomUnderwater(distance={source})"
             raise ValueError(f"{key} is missing, for {name}: {cure}")
         if self._in_pipeline and key not in self._moved:
-            kind = "mask" if single else "masks"
             cure = f"give A.Compose(…, additional_targets={{{key!r}: {kind!r}}})"
             raise ValueError(f"{key} would not move with {name}: {cure}")
         values = np.squeeze(targets[key]) * self.scale

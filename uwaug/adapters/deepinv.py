@@ -21,21 +21,15 @@ class UnderwaterPhysics(Physics):  # type: ignore[misc]
 
     Args:
         water: an `Underwater` module, learnable or not; or a `Medium`, for `Underwater(medium)`.
-            `color_space="linear"` suits noise of photons. Unlike sRGB it is not clipped, which
-            would leave no gradient.
+            `color_space="linear"` suits noise of photons, and is not clipped.
         distance (Bx1xHxW or 1xHxW tensor): along the ray, m. A buffer: `update(distance=…)`,
             `update_parameters(distance=…)` and `physics(x, distance=…)` replace it. To change the
             water, set `physics.water`.
         options: of `deepinv.physics.Physics`, such as `noise_model`.
 
     A is not linear: there is no `A_adjoint`. `A_vjp` is by autograd, in image and parameters.
-    `A_dagger` descends from the observed picture, or from `x_init`.
-
-    Shapes:
-        x, y: as the image of `Underwater`, floating point.
-
-    Raises:
-        TypeError, ValueError: as `Underwater`.
+    `A_dagger` descends from the observed picture, or from `x_init`. Pictures x and y are as those
+    of `Underwater`, floating point.
 
     Examples:
         >>> import deepinv, torch, uwaug

@@ -110,8 +110,7 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
                 z = recipe.read_map(item)
                 if z is not None:
                     (draw,) = recipe.drawn(item.name, 0)["samples"]
-                    view = recipe.transform.view
-                    rays = {"focal_px": view.focal(image.shape[-1]), "center": view.center}
+                    rays = recipe.transform.view.planar(image.shape[-1])
                     source.metres(z, image, draw["distance"], **rays)
                     if isinstance(source, Metres) and source.holes == "error":
                         _require_range(z)

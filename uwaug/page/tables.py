@@ -31,22 +31,16 @@ from uwaug.transforms.random_light import RandomLight
 from uwaug.transforms.random_underwater import SEVERITIES
 from uwaug.transforms.random_water import RandomWater
 
-_WIDTHS_PX = (0.0, 400.0)
-"""Range of the blurs. Wider ones are as good as the mean of a picture."""
+_WIDTHS_PX = (0.0, 400.0)  # of the blurs; wider ones are as good as the mean of a picture
+_LONGEST_PX = 1024.0  # side of a picture for which the widest blurs are planned
 
+# planned error, for 13 blurs; at .002 pictures would be up to 3 grey levels from `uwaug degrade`
 _BLUR_RMSE = 0.0005
-"""Planned error, for which 13 blurs are needed. At .002 pictures would be up to 3 grey levels from
-those of `uwaug degrade`.
-"""
-
-_LONGEST_PX = 1024.0
-"""Longest side of a picture for which the widest blurs are planned."""
 
 PIXELS = 1_000_000
 """Most pixels of a picture on the page. Each takes some 170 bytes, 72 of them for its blurs."""
 
-_REFLECTANCE = 0.18
-"""Reflectance of the grey detail whose contrast is shown, as in `uwaug.contrast_left`."""
+_REFLECTANCE = 0.18  # of the grey detail whose contrast is shown, as in `uwaug.contrast_left`
 
 
 def plan_of_page() -> BlurPlan:
@@ -58,7 +52,7 @@ def tables() -> dict[str, Any]:
     """Collect all numbers, as JSON holds them."""
     camera, axis = load_camera(RandomWater.camera), WAVELENGTHS.tobytes()
     law, (least, most) = PointSpread.calibrated(), LENGTHS
-    pure = dict(zip(("a", "b"), constituents.pure_water(axis), strict=True))
+    absorbed, scattered = constituents.pure_water(axis)
     at_1, exponents = constituents.phytoplankton()
     at_660, exponent = constituents.SCATTERED_BY_PHYTOPLANKTON
     stored = {
@@ -66,7 +60,7 @@ def tables() -> dict[str, Any]:
         "waters": {name: _spectra(Water.jerlov(name).at(WAVELENGTHS)) for name in JERLOV_TYPES},
         "words": IN_WORDS,
         "places": constituents.PLACES,
-        "pure": pure,
+        "pure": {"a": absorbed, "b": scattered},
         "contents": {
             "phytoplankton": at_1,
             "exponents": exponents,
@@ -93,7 +87,7 @@ def tables() -> dict[str, Any]:
         "dimmest": random_water.DIMMEST,
         "much": random_water.MOST_CONTENTS,
         "direction": {"view": WIDE.degrees, "rise": direction.RISE, "most": direction.MAX_RISE},
-        "sizes": dict(zip(("nearest", "farthest"), random_water.MEDIANS, strict=True)),
+        "sizes": {"nearest": random_water.MEDIANS[0], "farthest": random_water.MEDIANS[1]},
         "meter": {
             "count": development.METERED,
             "looks": SAMPLED,

@@ -17,11 +17,10 @@ from uwaug._support.atomic import written_whole
 from uwaug.page.tables import tables
 from uwaug.presets.scene import Scene
 
-_OPEN_CODE = 65535
-"""Code of open water in whole numbers of 16 bits."""
+_OPEN_CODE = 65535  # of open water in whole numbers of 16 bits
 
+# files of the worker, which become one script with unique names
 _WORKER = ("model.js", "maps.js", "holes.js", "like.js", "worker.js")
-"""Files of the worker, which become one script with unique names."""
 
 
 def write_page(

@@ -10,11 +10,7 @@ def list_presets() -> list[str]:
 
 
 def bundled_preset(name: str) -> Path:
-    """File of a preset that comes with the package.
-
-    Raises:
-        ValueError: the name is unknown; lists all names.
-    """
+    """File of a preset that comes with the package."""
     files = _files()
     if name not in files:
         raise ValueError(f"no preset is called {name!r}; there are {', '.join(sorted(files))}")
@@ -22,11 +18,7 @@ def bundled_preset(name: str) -> Path:
 
 
 def preset_path(name_or_path: str | os.PathLike[str]) -> Path:
-    """File of a preset, from its name or its path, see `uwaug.load_preset`.
-
-    Raises:
-        ValueError: it is an unknown name; lists all names.
-    """
+    """File of a preset, from its name or its path, see `uwaug.load_preset`."""
     if not isinstance(name_or_path, str) or name_or_path.endswith(".toml"):
         return Path(name_or_path)
     try:

@@ -23,16 +23,14 @@ def load_preset(
     """Load a preset, or the medium of a fit.
 
     Args:
-        name_or_path: a name, see `list_presets`; the path of a TOML file (a string that ends in
-            ``.toml``, or any path object), with tables for `RandomUnderwater.from_dict`; or of a
-            JSON file that `uwaug fit` has written. `uwaug preset show` prints a preset as a start.
-            CSV files that a file names lie beside it.
+        name_or_path: a name, see `list_presets`; the path of a TOML file, with tables for
+            `RandomUnderwater.from_dict`; or of a JSON file that `uwaug fit` has written. CSV files
+            that a file names lie beside it.
         water, camera: replace the preset's, see `uwaug.load_water` and `uwaug.load_camera`.
 
     Raises:
-        ValueError: the name is unknown (lists all names); the file is no TOML; a key is unknown,
-            missing, of the wrong type or out of range (names file and key); or water or camera is
-            given where the preset has coefficients, which none replaces.
+        ValueError: the name is unknown (lists all names); the file does not suit (names the key);
+            or water or camera is given where the preset has coefficients.
         OSError: the file cannot be read.
 
     Examples:
@@ -57,12 +55,7 @@ def load_preset(
 
 
 def read_tables(path: Path) -> dict[str, Any]:
-    """Read the options of `RandomUnderwater` in a TOML file; those of water become a table.
-
-    Raises:
-        ValueError: the file is no TOML.
-        OSError: it is no regular file.
-    """
+    """Read the options of `RandomUnderwater` in a TOML file; those of water become a table."""
     require_regular(path)
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -76,7 +69,6 @@ def read_tables(path: Path) -> dict[str, Any]:
 
 
 def _of_fit(path: Path, given: dict[str, Any]) -> RandomUnderwater:
-    """Make a transform of the medium of a fit, without anything random."""
     # fits load scipy.optimize, which a DataLoader worker can do without
     from uwaug.fitting.result import load_fit
 
@@ -88,8 +80,7 @@ def _of_fit(path: Path, given: dict[str, Any]) -> RandomUnderwater:
 
 
 def _refuse(path: Path, given: dict[str, Any]) -> None:
-    names = {"waters": "water"}
-    what = " or ".join(names.get(name, name) for name in given)
+    what = " or ".join(given).replace("waters", "water")
     raise ValueError(f"{path} holds coefficients, which no {what} replaces")
 
 

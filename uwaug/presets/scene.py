@@ -11,12 +11,8 @@ from uwaug.distance import along_ray, fill_unknown, from_disparity
 from uwaug.formation.colour import decoded, linear_to_srgb, require_values
 from uwaug.optics.view import WIDE, View
 
-_SHEET_PIXELS = 500_000
-"""Most pixels of a picture on a sheet, enough for one across all cells."""
-
-_LONGEST_SIDES = 10
-"""Largest ratio of a picture's sides: a longer one leaves no room in its cell."""
-
+_SHEET_PIXELS = 500_000  # most of a picture on a sheet, enough for one across all cells
+_LONGEST_SIDES = 10  # ratio of a picture's sides: a longer one leaves no room in its cell
 _MOTORCYCLE_FOCAL_PX = 994.978
 
 
@@ -60,9 +56,6 @@ def motorcycle_depth() -> tuple[Tensor, Tensor]:
 def own_scene(image: Tensor, distance: Tensor, max_pixels: int = _SHEET_PIXELS) -> Scene:
     """Make a scene of a picture and its distances, reduced to the size on a sheet.
 
-    The picture is reduced in linear light. Distances are sampled, as a mean across an edge would be
-    the distance of nothing.
-
     Args:
         image (3xHxW tensor): sRGB; uint8, or floating point 0…1.
         distance (1xHxW tensor): along the ray, m, ≥ 0; +inf is open water.
@@ -84,6 +77,7 @@ def own_scene(image: Tensor, distance: Tensor, max_pixels: int = _SHEET_PIXELS) 
     if shrink < 1:
         size = (max(1, round(height * shrink)), max(1, round(width * shrink)))
         light = interpolate(light[None], size, mode="area")[0]
+        # sampled: a mean across an edge would be the distance of nothing
         distance = interpolate(distance[None], size, mode="nearest-exact")[0]
         note = f"Drawn at {size[1]}×{size[0]} of {width}×{height} px."
     return Scene(linear_to_srgb(light), distance, note=note)

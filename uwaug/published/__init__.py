@@ -5,8 +5,8 @@ ray (1xHxW or Bx1xHxW, m; +inf is open water), and give a picture of the same ty
 In equations the picture is light: decoded sRGB where the source works with radiances, and sRGB
 values where the source takes them for light.
 
-Water and camera are arguments of `uwaug.load_water` and `uwaug.load_camera`. Few of the originals
-were at hand. Each docstring names its source, what the source leaves open, and what is ours.
+Water and camera are arguments of `uwaug.load_water` and `uwaug.load_camera`. Each docstring names
+its source, what the source leaves open, and what is ours. Few of the originals were at hand.
 
 Examples:
     >>> import torch, uwaug

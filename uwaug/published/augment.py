@@ -10,8 +10,6 @@ from uwaug.published.equation import system
 
 
 class _Augment(nn.Module):
-    """See `augment`."""
-
     def __init__(self, name: str, keys: tuple[str, str], options: dict[str, Any]) -> None:
         super().__init__()
         self.name, self.keys, self.options = name, keys, options
@@ -23,24 +21,21 @@ class _Augment(nn.Module):
         self._draws = "generator" in parameters
 
     def forward(self, *inputs: Any) -> Any:
-        """Degrade a sample; see `augment`."""
         from uwaug.transforms.samples import take_apart
 
-        parts = take_apart(inputs, self.keys, True)
+        image, distance, restore = take_apart(inputs, self.keys, True)
         random = {"generator": torch.default_generator} if self._draws else {}
-        result = self._degrade(parts.image, parts.distance, **random, **self.options)
-        return parts.restore(result)
+        return restore(self._degrade(image, distance, **random, **self.options))
 
     def extra_repr(self) -> str:
-        """Name and options."""
         return ", ".join([repr(self.name), *(f"{k}={v!r}" for k, v in self.options.items())])
 
 
 def augment(
     name: str, *, keys: tuple[str, str] = ("image", "distance"), **options: Any
 ) -> nn.Module:
-    """Make a transform of a published system. It is called like `uwaug.RandomUnderwater`, with
-    (image, distance, …) or a dict of both, and draws from torch's global generator.
+    """Make a transform of a published system, called like `uwaug.RandomUnderwater`. It draws from
+    torch's global generator.
 
     Args:
         name: see `system`.
@@ -48,8 +43,7 @@ def augment(
         options: arguments of the system, such as `water`.
 
     Raises:
-        ValueError: if the name is unknown; lists all names.
-        TypeError: if the system has no such argument; lists its arguments.
+        TypeError, ValueError: if there is no such name or argument; lists all.
 
     Examples:
         >>> import torch, uwaug

@@ -1,6 +1,4 @@
-"""Tools of the published systems: pictures to light and back, the list of systems, and integrals
-over the spectra of water and camera.
-"""
+"""Tools of the published systems: light of pictures, the list, integrals over spectra."""
 
 import inspect
 import math
@@ -44,8 +42,7 @@ OTHER_NAMES = {
 
 
 def published(color_space: ColorSpace) -> Callable[[Equation], Equation]:
-    """Make a system of an equation between light (Bx3xHxW) and distance (Bx1xHxW): a function of
-    pictures, on the list of systems.
+    """Make a system, on the list, of an equation between light (Bx3xHxW) and distance (Bx1xHxW).
 
     Args:
         color_space: "srgb" decodes pictures, "linear" takes their values for light.
@@ -66,7 +63,7 @@ def published(color_space: ColorSpace) -> Callable[[Equation], Equation]:
 
 
 def _opened(image: Tensor, z: Tensor, color_space: ColorSpace) -> tuple[Tensor, Tensor]:
-    """Check picture and map; return light (Bx3xHxW) and finite metres (Bx1xHxW) of one type."""
+    """Check picture and map; return light (Bx3xHxW) and finite metres (Bx1xHxW)."""
     if not isinstance(image, Tensor) or image.dtype != torch.uint8:
         checks.floating("image", image, "; or uint8")
     checks.picture("image", image, 3)
@@ -90,8 +87,7 @@ def systems() -> list[str]:
 
 
 def system(name: str) -> Callable[..., Tensor]:
-    """Function of a published system, by its name, or by another that it goes by: "UWCNN" is
-    "li-2020".
+    """Function of a published system, by its name, or by another: "UWCNN" is "li-2020".
 
     Raises:
         ValueError: if the name is unknown; lists all names.
@@ -103,16 +99,8 @@ def system(name: str) -> Callable[..., Tensor]:
 
 
 def picture(name: str, image: Tensor, z: Tensor, water: AnyWater = "II") -> Tensor:
-    """Picture that a published system makes in a water.
-
-    Args:
-        name: see `system`.
-        image, z: as for all systems.
-        water: argument of `uwaug.load_water`. "li-2020" and "slurpp-2025" know the ten Jerlov types
-            alone, and "hou-2020" has one water, whatever is given.
-
-    Raises:
-        TypeError, ValueError, OSError: if name, image, z or water do not suit.
+    """Picture that a published system makes in a water. "li-2020" and "slurpp-2025" know the ten
+    Jerlov types alone, and "hou-2020" has one water, whatever is given.
     """
     function = system(name)
     takes_water = "water" in inspect.signature(function).parameters
@@ -136,7 +124,7 @@ class BandedWater(NamedTuple):
 
     @staticmethod
     def of(water: AnyWater, camera: AnyCamera, like: Tensor) -> "BandedWater":
-        """Bands from 400 to 700 nm in steps of 5, where the water has data; of a tensor's type."""
+        """Bands from 400 to 700 nm in steps of 5, where the water has data."""
         water = load_water(water)
         first, last = water.wavelengths[[0, -1]]
         axis = WAVELENGTHS[(first <= WAVELENGTHS) & (last >= WAVELENGTHS)]
@@ -164,8 +152,8 @@ class BandedWater(NamedTuple):
     def scattered(
         self, image: Tensor, z: Tensor, scale: float, shape: Shape = "exponential"
     ) -> Tensor:
-        """Blur a picture by σ = scale·b̄·z px at each pixel, for a short side of 518 px. b̄ is the
-        mean of b over the channels. An exponential shape has the transfer function e^(−2πσf).
+        """Blur a picture by σ = scale·b̄·z px, for a short side of 518 px and the mean b̄ of b over
+        the channels. An exponential shape has the transfer function e^(−2πσf).
         """
         size = z.shape[-2:]
         sigma = scale * min(size) / 518 * (self.response @ self.b).mean() * z
@@ -193,5 +181,5 @@ def between(
 
 
 def colour(values: Sequence[float] | Tensor, like: Tensor) -> Tensor:
-    """Reshape three numbers (1x3x1x1), of the type of pictures."""
+    """Three numbers (1x3x1x1), of the type of pictures."""
     return torch.as_tensor(values, dtype=torch.float64).to(like).reshape(1, 3, 1, 1)

@@ -2,7 +2,8 @@
 
 J is the scene, z the distance, d the depth below the surface, S_c the response of the camera, and
 a, b, β = a + b, K_d are spectra of the water. Water is homogeneous and surfaces are grey where
-nothing else is said.
+nothing else is said. A source that was not at hand stands here by general knowledge of the
+literature.
 """
 
 from typing import Literal
@@ -18,11 +19,9 @@ from uwaug.optics.water import Water
 from uwaug.published.equation import AnyCamera, AnyWater, BandedWater, between, colour, published
 
 _CAMERA = "Nikon 5100 (NPL)"
+# beside the camera, aimed 3 m ahead
 _LAMP = Lamp(position=(-0.8, -0.5, 0.0), power=10.0, aim=(0.8, 0.5, 3.0), cone=50.0)
-"""Lamp beside the camera, aimed 3 m ahead."""
-
-_ROWS_AT_ONCE = 16
-"""Rows of a picture for which the bands of a lamp's beam are held at once."""
+_ROWS_AT_ONCE = 16  # of a picture, whose bands of a lamp's beam stay in the cache
 
 _RGB = tuple[float, float, float]
 
@@ -42,13 +41,12 @@ def mcglamery_1980(
 
         I = L·e^(−βz)·J + L·(e^(−Gz) − e^(−βz))·PSF_z{J} + ∫beam,  PSF_z = F⁻¹{e^(−φzf)}
 
-    Source: B. L. McGlamery, Proc. SPIE 0208 (1980) 221, doi:10.1117/12.958279. Not at hand: written
-    from general knowledge of the literature.
+    Source: B. L. McGlamery, Proc. SPIE 0208 (1980) 221, doi:10.1117/12.958279; not at hand.
     Left open: the colours (it has one wavelength), and G and φ, which it fits, with a ≤ G ≤ K_d.
     Ours: spectra and a camera; G = a + g·b, with a g that keeps that bound in all ten types at all
     wavelengths; φ = 2π·.3 px·b̄ where the short side has 518 px; a `view` 60° wide.
-    The lamp's light L on the scene is color·cone·cos/r². On its way it fades with G, as in Monte
-    Carlo transport, and not with β. The phase function is that of Henyey and Greenstein.
+    The lamp's light L on the scene is color·cone·cos/r², and fades with G on its way, as in Monte
+    Carlo transport. The phase function is that of Henyey and Greenstein.
     """
     w = BandedWater.of(water, camera, z)
     G = w.a + g * w.b
@@ -72,8 +70,7 @@ def jaffe_1990(
 
         D = L·e^(−βz)·J,  I = D + (e^(−Gz) − e^(−βz))·PSF_z{D} + ∫beam,  PSF_z = F⁻¹{e^(−φzf)}
 
-    Source: J. S. Jaffe, IEEE J. Oceanic Eng. 15 (1990) 101, doi:10.1109/48.50695. Not at hand:
-    written from general knowledge of the literature.
+    Source: J. S. Jaffe, IEEE J. Oceanic Eng. 15 (1990) 101, doi:10.1109/48.50695; not at hand.
     Left open: the colours, and G and φ, which it fits, with |G| ≤ β.
     Ours: as in `mcglamery_1980`, with another g. Each pixel takes weight and blur of its own
     distance.
@@ -104,8 +101,8 @@ def schechner_2004(
         I = e^(−βz)·L + B∞·(1 − e^(−βz)),  L = E·(J + (e^(−Gz) − e^(−βz))·PSF_z{J}),
         B∞ = μbE/β,  E = e^(−K_d·d)
 
-    Source: Y. Y. Schechner, N. Karpel, CVPR 2004, I-536, doi:10.1109/CVPR.2004.1315078. Not at
-    hand: written from general knowledge of the literature.
+    Source: Y. Y. Schechner, N. Karpel, CVPR 2004, I-536, doi:10.1109/CVPR.2004.1315078; not at
+    hand.
     Left open: colours, G, φ, and the veil, which the authors read from their pictures.
     Ours: spectra and a camera, G = a + g·b, φ = 2π·.3 px·b̄ where the short side has 518 px, the
     veil of a homogeneous water.
@@ -134,8 +131,7 @@ def akkaynak_2018(
         I_c = J_c·e^(−β_c^D·z) + B_c∞·(1 − e^(−β_c^B·z))
             = J_c·∫S_c·E·e^(−βz) + ∫S_c·(bE/β)·(1 − e^(−βz)),  E = e^(−K_d·d)
 
-    Source: D. Akkaynak, T. Treibitz, CVPR 2018, 6723, doi:10.1109/CVPR.2018.00703. Not at hand:
-    written from general knowledge of the literature.
+    Source: D. Akkaynak, T. Treibitz, CVPR 2018, 6723, doi:10.1109/CVPR.2018.00703; not at hand.
     Left open: the spectrum of the reflectance in the mean; here it is grey.
     Ours: depth and camera.
     """
@@ -251,10 +247,9 @@ def desai_2021(
 
         I_c = J_c·∫S_c·e^(−βz) + ∫S_c·(b·e^(−K_d·d)/β)·(1 − e^(−βz))
 
-    Source: C. Desai, R. A. Tabib, S. S. Reddy, U. Patil, U. Mudenagudi, CVPR Workshops 2021, 2181.
-    Neither paper nor code was at hand. The review in arXiv:2509.15011 tells that the veil is
-    analytic and that β^D ≠ β^B. That depth enters by the veil alone follows from the abstract of
-    the authors' RSUIGM, where light from above in the direct term is new.
+    Source: C. Desai, R. A. Tabib, S. S. Reddy, U. Patil, U. Mudenagudi, CVPR Workshops 2021, 2181;
+    not at hand. The review in arXiv:2509.15011 tells that the veil is analytic and that β^D ≠ β^B;
+    the abstract of the authors' RSUIGM, that light from above in the direct term is new there.
     Ours: depth, camera, and a grey reflectance in the means.
     """
     return _revised(image, z, water, camera, vertical_depth, dims_scene=False)
@@ -276,8 +271,6 @@ def liu_2022(
 
         I_c = J_c·∫S_c·E(z)·e^(−βz) + ∫_0^z ∫S_c·b·E(s)·e^(−βs) ds
         E = 1 (uniform), e^(−K_d·d) (parallel), P·e^(−βr)/r² (artificial)
-
-    The veil is b·E/β·(1 − e^(−βz)) under uniform and parallel light.
 
     Source: Y. Liu et al., Information 13 (2022) 187, doi:10.3390/info13040187. The abstract alone
     was at hand; veil and lights are from the review in arXiv:2509.15011.
@@ -424,7 +417,6 @@ def _lit(
     sent = lamp.sent(rays, z)
     facing = (z * rays.shortening - lamp.position[2]).clamp(min=0.0) / sent.path
     cone, scattering, strips = sent.cone, (w.response * w.b)[None], []
-    # a few rows at a time, whose bands stay in the cache
     for first in range(0, z.shape[-2], _ROWS_AT_ONCE):
         rows = (..., slice(first, first + _ROWS_AT_ONCE), slice(None))
         if sent.cone is not None:
@@ -450,12 +442,11 @@ def _revised(
     w = BandedWater.of(water, camera, z)
     E = torch.exp(-w.kd * vertical_depth)
     veil = w.b * E / w.beta
-    direct = w.integral(E if dims_scene else torch.ones_like(E), (w.beta, z)) * image
+    direct = w.integral(E if dims_scene else 1.0, (w.beta, z)) * image
     return direct + w.integral(veil) - w.integral(veil, (w.beta, z))
 
 
 def _row(water: str | Water, table: dict[str, _RGB]) -> _RGB:
-    """Row of a table for a Jerlov type."""
     name = water.name if isinstance(water, Water) else water
     checks.one_of("water", name, table)
     return table[name]

@@ -29,24 +29,15 @@ photographs.csv (short side 256 px); its weight in `like`, 2 for colour, which o
 (the others then come out as near); words for a picture that has less of it, and more.
 """
 
-_BLOCKS = 16
-"""Blocks along a picture's short side, in which the veil is looked for."""
-
-_JITTER = 1e-8
-"""Variance added to each channel's, of values in 0…1: a constant one correlates with nothing."""
+_BLOCKS = 16  # along a picture's short side, in which the veil is looked for
+_JITTER = 1e-8  # variance added to each channel's: a constant one correlates with nothing
 
 
 def water_features(srgb: Values) -> dict[str, float]:
-    """Twelve numbers of a picture, by name.
-
-    Args:
-        srgb (HxWx3 array): sRGB, floating point, 0…1.
-
-    Returns:
-        Means of CIE L*, a*, b* and chroma; medians of L*, a*, b* where the veil is; log2 of the
-        ratios of red to green and of blue to green, in linear light; log2 of the ratio of the
-        spreads of red and green, and their correlation; "dark", the mean of the darkest green or
-        blue nearby, which a veil lifts.
+    """Twelve numbers of a picture (HxWx3, sRGB, floating point 0…1), by name: means of CIE L*, a*,
+    b* and chroma; medians of L*, a*, b* where the veil is; log2 of the ratios of red to green and
+    of blue to green, in linear light; log2 of the ratio of the spreads of red and green, and their
+    correlation; "dark", the mean of the darkest green or blue nearby, which a veil lifts.
     """
     from scipy.ndimage import minimum_filter
     from skimage.color import rgb2lab

@@ -57,13 +57,10 @@ def of_frame(sample: Record, number: int) -> Record:
 
 
 def read_draws(record: Any, count: int, nouns: Mapping[str, Noun]) -> list[Draw]:
-    """Read the draw of each of `count` pictures. Refuses a record of other options, of another
-    batch, or with numbers outside of their domain.
-    """
+    """Read the draws of `count` pictures. Refuses a record of other options or another batch."""
     samples = record.get("samples") if isinstance(record, Mapping) else None
     if not isinstance(samples, list) or not all(isinstance(s, Mapping) for s in samples):
-        expected = "a record from make_params, {'samples': [{…}]}"
-        raise TypeError(f"params must be {expected}, got {record!r:.80}")
+        raise TypeError(f"params must be a record from make_params, got {record!r:.80}")
     if len(samples) not in (1, count):
         raise ValueError(f"params has {len(samples)} samples but image is a batch of {count}")
     for sample in samples:
@@ -91,8 +88,7 @@ def _require_measured(measured: Any) -> None:
         raise ValueError(f"params: measured.median must be above 0 m, got {median!r:.80}")
     checks.within("params: measured.exposure", measured["exposure"], -math.inf)
     balance = measured["white_balance"]
-    if balance is not None and not (isinstance(balance, (list, tuple)) and len(balance) == 3):
-        expected = "three numbers, or null"
-        raise ValueError(f"params: measured.white_balance must be {expected}, got {balance!r:.80}")
-    for factor in balance or ():
-        checks.positive("params: measured.white_balance", factor)
+    if balance is not None:
+        checks.vector("params: measured.white_balance", balance)
+        for factor in balance:
+            checks.positive("params: measured.white_balance", factor)

@@ -18,27 +18,26 @@ from uwaug.transforms.samples import SampleTransform, pictures_of, replaced, typ
 
 @dataclass(eq=False, repr=False)
 class KeepVisible(SampleTransform):
-    """Degrade pictures, and take objects that can no longer be seen out of the targets.
+    """Degrade pictures as `augment` does, and take objects that can no longer be seen out of the
+    targets.
 
-    Pictures come out as of `augment` alone, with the same draws. An object's contrast is the mean
-    of `uwaug.contrast_left` over its mask, or over its box if it has no mask. Put it in the place
-    of `augment` in a pipeline, after `SanitizeBoundingBoxes`, which does not know "contrast".
+    An object's contrast is the mean of `uwaug.contrast_left` over its mask, or else over its box.
+    Put it after `SanitizeBoundingBoxes`, which does not know "contrast".
 
     Args:
         augment: the `RandomUnderwater` that degrades pictures.
         min_contrast: contrast below which objects are taken out, 0…1.
         flag: keep them, and set their "iscrowd" to 1: losses and scores leave those out.
-        along: names of the entries that have a row for each object, where they are there.
+        along: names of the entries that have a row for each object.
         apart: names of the entries that belong to the picture, whatever their length.
 
     Inputs:
         As for `augment`, one picture at a time. One dict holds the objects: the sample itself, or a
         dict directly in it, such as torchvision's target. It has "boxes" (Nx4) or "masks" (NxHxW)
         or both. Plain boxes are corners (x1, y1, x2, y2) in px; torchvision's `BoundingBoxes` say
-        what they are. Where objects are taken out, another tensor, array or list of that dict with
-        as many rows as there are objects has to be named in `along` or `apart`. The same structure
-        comes back, with the rows of the objects that are left in a copy of that dict. "contrast"
-        (N, float32) is new; it is 0 of objects with no pixel in the picture.
+        what they are. The same structure comes back, with the rows of the objects that are left in
+        a copy of that dict. "contrast" (N, float32) is new; it is 0 of objects with no pixel in the
+        picture.
 
     Raises:
         TypeError, ValueError: as `augment`; if there is no such dict, or more than one; if an entry
@@ -73,8 +72,7 @@ class KeepVisible(SampleTransform):
         image, distance, restore = self.augment.take_apart(inputs)
         pictures_of(image)  # refuses what is no image
         if image.ndim != 3:
-            got = f"a batch {tuple(image.shape)}"
-            raise ValueError(f"KeepVisible takes one picture (3, H, W) at a time, got {got}")
+            raise ValueError(f"image must be one picture (3, H, W), got {tuple(image.shape)}")
         scenes = self.augment.scenes(image, distance, self.augment.make_params(image, generator))
         sample = restore(scenes.formed())
         contrast_map = scenes.contrast_map()[0].detach()
@@ -85,8 +83,7 @@ class KeepVisible(SampleTransform):
         if len(places) != 1:
             expected = "one dict with 'boxes' or 'masks', the sample or directly in it"
             raise ValueError(f"expected {expected}; found {len(places)}")
-        (place,) = places
-        return replaced(sample, place, self._visible(members[place], contrast_map))
+        return replaced(sample, places[0], self._visible(members[places[0]], contrast_map))
 
     def _visible(self, target: Mapping[str, Any], contrast_map: Tensor) -> Any:
         """A copy of a target with only the objects that can be seen, by a map of contrast (HxW)."""
@@ -100,18 +97,16 @@ class KeepVisible(SampleTransform):
             return changed
         names = {*self.along, *self.apart, *self.augment.keys}
         for name, value in target.items():
-            count = len(value) if isinstance(value, (np.ndarray, list, tuple)) else None
-            count = len(value) if isinstance(value, Tensor) and value.ndim else count
+            has_rows = isinstance(value, (np.ndarray, list, tuple))
+            has_rows |= isinstance(value, Tensor) and value.ndim > 0
+            count = len(value) if has_rows else None
             if name in self.along:
                 if count != len(keep):
-                    got = f"target[{name!r}] has {count} rows for {len(keep)} objects"
-                    raise ValueError(f"{got}: expected one each")
+                    raise ValueError(f"target[{name!r}] has {count} rows for {len(keep)} objects")
                 changed[name] = _rows(value, keep)
             elif name not in names and count == len(keep) and not bool(keep.all()):
-                got = f"target[{name!r}] has a row for each of {count} objects, it seems"
-                raise ValueError(
-                    f"{got}: name it in along=…, or in apart=… if it is of the picture"
-                )
+                cure = "name it in along=…, or in apart=… if it is of the picture"
+                raise ValueError(f"target[{name!r}] seems to have a row for each object: {cure}")
         changed["contrast"] = contrast[keep]
         return changed
 
@@ -129,8 +124,9 @@ def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
     if "masks" in target:
         masks = typed(torch.as_tensor(target["masks"]), Tensor).to(contrast_map.device) != 0
         if masks.shape[1:] != contrast_map.shape:
-            got, size = tuple(masks.shape), tuple(contrast_map.shape)
-            raise ValueError(f"target['masks'] is {got}: expected (N, {size[0]}, {size[1]})")
+            height, width = contrast_map.shape
+            expected = f"(N, {height}, {width})"
+            raise ValueError(f"target['masks'] must be {expected}, got {tuple(masks.shape)}")
         return (masks * contrast_map).sum((-2, -1)) / masks.sum((-2, -1)).clamp(min=1)
     boxes = target["boxes"]
     if hasattr(boxes, "format"):  # torchvision's
@@ -139,7 +135,7 @@ def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
         boxes = convert_bounding_box_format(boxes, new_format="XYXY")
     corners, means = torch.as_tensor(boxes).reshape(-1, 4), []
     if bool((corners[:, 2:] < corners[:, :2]).any()):
-        cure = "for (x, y, width, height) give torchvision's BoundingBoxes, which say what they are"
+        cure = "for (x, y, width, height) give torchvision's BoundingBoxes"
         raise ValueError(f"target['boxes'] end before they begin: expected corners in px; {cure}")
     if len(corners) and 0 < float(corners.max()) <= 1 < max(contrast_map.shape):
         raise ValueError("target['boxes'] lie in 0…1: expected px, so multiply by width and height")

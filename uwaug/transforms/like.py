@@ -1,6 +1,4 @@
-"""`like`: waters that make pictures look like given photographs. It searches, and knows no physics
-beyond that of the draws.
-"""
+"""`like`: a search for waters that make pictures look like given photographs."""
 
 import warnings
 from collections import Counter
@@ -26,37 +24,24 @@ from uwaug.transforms.draws import Record, read_draws, uniform_of
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import typed
 
-_SHORT_SIDE_PX = 128
-"""px, short side of the pictures that are looked at."""
+_SHORT_SIDE_PX = 128  # of the pictures that are looked at
 
+# Shares of the draws that are new, and that lie between two good ones; the others try the best on
+# more pictures, as what is near on one may be so by what that picture shows. (Other shares, rounds
+# and numbers of draws kept: benchmarks/CHOICES.md, how constants were chosen.)
 _NEW_SHARE, _BETWEEN_SHARE = 0.4, 0.2
-"""Shares of the draws that are new, and that lie between two good ones; the others try the best on
-more pictures: what is near on one may be so by what that picture shows. (Other shares, rounds and
-numbers of draws kept: benchmarks/CHOICES.md, how constants were chosen.)
-"""
+_LATER_SHARE = 0.4  # of the first photograph's tries, for each further one, which profits by them
+_PARENTS = 15  # best new draws, between which others are made
+_MORE_PICTURES = 4  # on which the best are tried besides their first
+_KEPT = ("water", "light", "development")  # nouns whose draws are kept; distances are a picture's
 
-_PARENTS = 15
-"""Number of the best new draws, between which others are made."""
-
-_KEPT = ("water", "light", "development")
-"""Nouns whose draws are kept; distances belong to a picture."""
-
-_MORE_PICTURES = 4
-"""Pictures on which the best are tried besides their first."""
-
-_LATER_SHARE = 0.4
-"""Share of the tries of the first photograph that each further one takes: what was made for those
-before it serves it, too.
-"""
-
+# Standard deviations of photographs from which on draws are no longer near, and a warning is due:
+# 70 and 88 % of real photographs are nearer, and a quarter of those with red and green swapped.
 _FAIR_FROM, _FAR_FROM = 0.8, 1.0
-"""Standard deviations of photographs from which on draws are no longer near, and a warning is due:
-70 and 88 % of real photographs are nearer, and a quarter of those with red and green swapped.
-"""
 
 _SPREADS, _COUNTS, *_ = map(np.array, zip(*WATER_FEATURES.values(), strict=True))
+# of each number: a standard deviation of photographs, on average
 _UNITS = _SPREADS * np.sqrt(np.mean(_COUNTS**2)) / _COUNTS
-"""The unit of each number: a standard deviation of photographs, on average."""
 
 
 class Nearness(NamedTuple):
@@ -64,7 +49,7 @@ class Nearness(NamedTuple):
 
     Attributes:
         kept, drawn: median distance of the kept draws, and of new ones, in standard deviations of
-            photographs, of a number on average.
+            photographs.
         doubt: what is off, in words, if even the draws for one of them are far; else empty.
         of_each: median distance of the draws that were kept for each photograph.
     """
@@ -89,7 +74,6 @@ class Nearness(NamedTuple):
 
 
 def _verdict(unlikeness: float) -> str:
-    """A distance from a photograph in words."""
     if unlikeness < _FAIR_FROM:
         return "near"
     return "fair" if unlikeness < _FAR_FROM else "far from all that was tried"
@@ -102,8 +86,7 @@ class UnderwaterLike(RandomUnderwater):
 
     Args:
         kept: {"water": …, "light": …, "development": …}, as samples of `make_params` have them;
-            picked with equal weight. What they leave out is drawn for each picture: distances, and
-            the seeds of medium field, particles and noise.
+            picked with equal weight. What they leave out is drawn for each picture.
         nearness: of the kept draws to the photographs; not in `to_dict`.
 
     Raises:
@@ -144,21 +127,18 @@ def like(
     keep: int = 10,
     seed: int = 0,
 ) -> UnderwaterLike:
-    """Find random waters in which pictures look like a photograph, "like that one".
-
-    Draws of `augment` are held against the photograph by colour and veil: twelve numbers of a
-    picture that follow from water more than from the scene. Those that are nearest are tried on
-    more pictures, and kept. They look alike; which water it is, `uwaug.fit` says.
+    """Find random waters in which pictures look like a photograph, by twelve numbers of colour and
+    veil. They look alike; which water it is, `uwaug.fit` says.
 
     Args:
         reference: photographs taken under water, one or several (3xHxW, a batch, a list or an
             iterator), in sRGB even where `augment` takes linear light. `keep` draws are kept of
             each, so that each picture looks like one of them, picked at random.
         pictures: some of your own, taken in air, as many-sided as your data set (the same). Four to
-            eight will do. All are looked at small, with 128 px along their short side.
+            eight will do.
         distance: their maps (1xHxW, the same), as `augment` reads them; None where it reads none.
-        augment: from which waters and developments to draw, and all other options; by default
-            `RandomUnderwater()`, or without maps `RandomUnderwater(distance=MadeUp())`.
+        augment: from which to draw; by default `RandomUnderwater()`, or without maps
+            `RandomUnderwater(distance=MadeUp())`.
         draws: pictures that are made for the first reference, of which 300 take some 3 s; at least
             15 times `keep`. Each further one takes less than a third of that.
         keep: draws to keep.
@@ -210,10 +190,10 @@ def like(
             of_each.append(float(np.median([_unlikeness(draw, photograph) for draw in best])))
             if of_each[-1] == max(of_each):
                 doubt = _doubt(best, photograph, of_each[-1])
+    if doubt:
+        warnings.warn(doubt, stacklevel=2)
     medians = float(np.median(of_each)), float(np.median(of_new))
     nearness = Nearness(*medians, doubt, tuple(of_each))
-    if nearness.doubt:
-        warnings.warn(nearness.doubt, stacklevel=2)
     options = {f.name: getattr(augment, f.name) for f in fields(RandomUnderwater) if f.init}
     return UnderwaterLike(**options, kept=tuple(kept), nearness=nearness)
 
@@ -276,9 +256,7 @@ class _Trials:
         return draw
 
     def best(self, pool: list[_Draw], photograph: Values, tries: float, keep: int) -> list[_Draw]:
-        """The draws that are nearest to a photograph, of a pool to which some between them are
-        added.
-        """
+        """The draws nearest to a photograph, of a pool to which some between them are added."""
         unlikeness = partial(_unlikeness, photograph=photograph)
         parents = sorted(pool, key=unlikeness)[:_PARENTS]
         for _ in range(round(_BETWEEN_SHARE * tries)):
@@ -314,7 +292,7 @@ def _with_kept(sample: Record, kept: Mapping[str, Any]) -> Record:
 
 def _small(name: str, tensors: Any, channels: int) -> list[tuple[Tensor, float]]:
     """Small copies (CxHxW), on the host, of a picture or map, a batch, or a list of either; and
-    their sizes as shares of the originals'.
+    their scales.
     """
     small: list[tuple[Tensor, float]] = []
     for tensor in tensors if isinstance(tensors, (list, tuple, Iterator)) else [tensors]:
@@ -327,10 +305,10 @@ def _small(name: str, tensors: Any, channels: int) -> list[tuple[Tensor, float]]
         scale = _SHORT_SIDE_PX / min(values.shape[-2:])
         size = [round(scale * side) for side in values.shape[-2:]]
         if channels == 1:
-            small += [(copy, scale) for copy in interpolate(values, size, mode="nearest")]
-            continue
-        require_values(values, "srgb", name)
-        copies = interpolate(values, size, mode="bilinear", antialias=True).clamp(0, 1)
+            copies = interpolate(values, size, mode="nearest")
+        else:
+            require_values(values, "srgb", name)
+            copies = interpolate(values, size, mode="bilinear", antialias=True).clamp(0, 1)
         small += [(copy, scale) for copy in copies]
     if not small:
         raise ValueError(f"{name}: expected at least one, got none")
@@ -355,6 +333,7 @@ def _doubt(best: list[_Draw], photograph: Values, unlikeness: float) -> str:
         return ""
     excess = np.mean([np.mean(draw.features, 0) for draw in best], 0) - photograph
     worst = np.argsort(-abs(excess))[:3]
-    words = [list(WATER_FEATURES.values())[i][3 if excess[i] > 0 else 2] for i in worst]
-    off = f"{unlikeness:.2f} standard deviations of photographs away: {', '.join(words)}"
+    features = list(WATER_FEATURES.values())
+    words = ", ".join(features[i][3 if excess[i] > 0 else 2] for i in worst)
+    off = f"{unlikeness:.2f} standard deviations of photographs away: {words}"
     return f"even the nearest draws look unlike the reference, {off}"

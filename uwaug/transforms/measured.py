@@ -11,8 +11,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug.formation.development import metering_points
 
-SAMPLED = 2048
-"""Number of pixels of which the median distance is taken; it is right within 2 %."""
+SAMPLED = 2048  # pixels of which the median distance is taken; it is right within 2 %
 
 
 class Measured(NamedTuple):
@@ -55,12 +54,12 @@ class Measured(NamedTuple):
         """The same scene, so many times as large."""
         if scale == 1:
             return self
-        lengths = {name: getattr(self, name) * scale for name in _LENGTHS}
+        lengths = ("nearest", "farthest", "median")
         right, down, away = self.moved
-        return self._replace(**lengths, moved=(right * scale, down * scale, away * scale))
-
-
-_LENGTHS = ("nearest", "farthest", "median")
+        return self._replace(
+            **{name: getattr(self, name) * scale for name in lengths},
+            moved=(right * scale, down * scale, away * scale),
+        )
 
 
 def measure(pictures: Tensor, metres: Tensor, *, metered: bool, lamps: bool) -> list[Measured]:
@@ -71,10 +70,10 @@ def measure(pictures: Tensor, metres: Tensor, *, metered: bool, lamps: bool) -> 
     points = metering_points(height, width, metres.device)[:SAMPLED]
     values, distances = pictures.detach().flatten(1), metres.detach().flatten(1)
     rows_of = _rows_on_host if checks.on_host(metres) else _rows_on_device
-    white, measurements = 1.0 if pictures.is_floating_point() else 255.0, []
-    for i, (darkest, brightest, nearest, farthest, median) in enumerate(
-        rows_of(values, distances, points)
-    ):
+    white = 1.0 if pictures.is_floating_point() else 255.0
+    measurements = []
+    for i, row in enumerate(rows_of(values, distances, points)):
+        darkest, brightest, nearest, farthest, median = row
         if math.isinf(median):  # all is open water, or all of the points
             median = _median(distances[i].cpu().numpy())
         ends = darkest / white, brightest / white, nearest, farthest

@@ -15,9 +15,7 @@ from uwaug.transforms.measured import Measured
 @codec.plain
 @dataclass(frozen=True, repr=False)
 class RandomDevelopment(Noun):
-    """Draws the development of each picture, see `uwaug.Development`.
-
-    A range is a number or (low, high), drawn uniformly.
+    """Draws the development of each picture. A range is a number or (low, high), drawn uniformly.
 
     Attributes:
         exposure: stops, counted from an automatic exposure if `metered`.
@@ -25,8 +23,7 @@ class RandomDevelopment(Noun):
             for pictures as dark as it is down there.
         white_balance, saturation, gamut, tone: as for `uwaug.Development`.
         color_space: of pictures, "srgb" or "linear".
-        noise: the sensor, a `uwaug.Sensor` whose numbers may be ranges, full_well drawn uniformly
-            in its logarithm; None for light without noise.
+        noise: a `uwaug.Sensor`, whose numbers may be ranges, or None.
 
     `PLAIN` are the options of a camera that changes nothing.
 

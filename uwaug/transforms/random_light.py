@@ -16,12 +16,7 @@ T = TypeVar("T")
 
 
 class Rig(NamedTuple):
-    """A mount of lamps.
-
-    Attributes:
-        lamps: least and largest number of them.
-        aside, above: m from the lens to the outermost lamp, least and largest.
-    """
+    """A mount of lamps; least and largest number of them, and m from lens to outermost lamp."""
 
     lamps: tuple[int, int]
     aside: tuple[float, float]
@@ -35,25 +30,21 @@ RIGS = {
 }
 """A bar of a vehicle, a diver's arms, and strobes at the lens."""
 
+# of the lamps of a rig, in turn: shares of `aside` and `above`
 _LAMP_PLACES = ((1.0, 1.0), (-1.0, 1.0), (0.4, 0.3), (-0.4, 0.3))
-"""Places of the lamps of a rig, in turn: shares of `aside` and `above`."""
-
-_OPEN_WATER_M = 8.0
-"""m: stands for the median distance where all is open water."""
+_OPEN_WATER_M = 8.0  # stands for the median distance where all is open water
 
 
 @codec.plain
 @dataclass(frozen=True, repr=False)
 class RandomLight(Noun):
-    """Draws the light of each picture: daylight from above for most, and for some lamps near the
-    camera, as at night or where hardly any daylight comes.
-
-    A range is a number or (low, high), drawn uniformly.
+    """Draws the light of each picture: daylight from above for most, lamps near the camera for
+    some. A range is a number or (low, high), drawn uniformly.
 
     Attributes:
-        share: share of pictures that lamps light, 0…1.
-        rigs: mounts of lamps, of "vehicle" (2 to 4, above and beside), "diver" (1 or 2, on arms)
-            and "strobe" (1 or 2, at the lens); picked with equal weight.
+        share: of pictures that lamps light, 0…1.
+        rigs: "vehicle" (2 to 4 lamps, above and beside), "diver" (1 or 2, on arms) and "strobe" (1
+            or 2, at the lens); picked with equal weight.
         daylight: factor of daylight beside the lamps, see `uwaug.Light`.
         pitch: angle of the camera's axis above the horizon, degrees: water is brighter towards the
             surface; None: alike in all directions.

@@ -39,27 +39,20 @@ SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 @codec.plain
 @dataclass(init=False, eq=False, repr=False)
 class RandomUnderwater(SampleTransform):
-    """Degrade pictures in random waters.
-
-    The defaults give pictures as an underwater camera takes them: constants calibrated to light
-    transport (see `PointSpread.calibrated`), waters as turbid as the scene bears, surfaces with
-    spectra, an exposure and a development. `severity` gives five grades, `uwaug.load_preset` what a
-    preset says.
+    """Degrade pictures in random waters, as an underwater camera takes them.
 
     Args:
         water: a `RandomWater`, or its first argument alone: Jerlov types, contents, a `Water`, a
             `Medium`.
-        distance: the content of maps, and what pixels without a distance get:
-            `uwaug.distance.Metres`, `Relative` or `Inverse`. Or the source of distances where there
-            are no maps: `MadeUp`, `Network`, or `Plane`, for which a number or a range may stand,
-            m.
-        light: a `RandomLight`; a `Light`, the same for all pictures, whose lamps stand where they
-            are in metres; None for daylight. "auto" is `RandomLight()`, where lamps light a twelfth
-            of the pictures, and None where a water is a `Medium`, which has daylight of its own.
+        distance: the content of maps: `uwaug.distance.Metres`, `Relative` or `Inverse`. Or the
+            source of distances where there are no maps: `MadeUp`, `Network`, or `Plane`, for which
+            a number or a range may stand, m.
+        light: a `RandomLight`; a `Light`, the same for all pictures, whose lamps stand in metres;
+            None for daylight. "auto" is `RandomLight()`, and None where a water is a `Medium`,
+            which has daylight of its own.
         development: a `RandomDevelopment`: what the camera does, and the colour space.
-        view: of the camera, a `uwaug.View` or its angle in degrees: planar depth, blur, the
-            direction of daylight, lamps and snow follow it. Of a crop give that of the crop, see
-            `uwaug.View.crop`.
+        view: of the camera, a `uwaug.View` or its angle in degrees. Of a crop give that of the
+            crop, see `uwaug.View.crop`.
         p: probability that a picture is degraded at all.
         keys: names of image and map in a dict.
 
@@ -67,19 +60,17 @@ class RandomUnderwater(SampleTransform):
         (image, distance, …), a tuple or list of them, (image, target) with the map in a dict in
         second place, or a dict. One picture (3xHxW, distance 1xHxW) or a batch, whose pictures may
         share one map; uint8 (0…255) or floating point (0…1); plain tensors or torchvision's
-        tv_tensors (a distance map is best a `Mask`). A `Video` is a film: one draw for all frames,
-        as by `for_clip`.
+        tv_tensors (a map is best a `Mask`). A `Video` is a film: one draw for all frames.
 
         The same structure comes back with a new image of the same type; every other leaf is
         returned as it is, and no input is changed. Gradients pass to image and distance; draws are
         constant.
 
-    Randomness comes from torch's global generator, which a DataLoader seeds for each worker and
-    epoch; `at` draws from a key instead. Place the transform before normalisation, and after
-    resizing and cropping; the default view is 60° wide.
+    Randomness comes from torch's global generator; `at` draws from a key instead. Place the
+    transform before normalisation, and after resizing and cropping.
 
     Raises:
-        TypeError, ValueError: if an option or an input does not suit; says what was expected.
+        TypeError, ValueError: if an option or an input does not suit.
 
     Warns:
         UserWarning: once in a process, if next to nothing is left to see in one of its first
@@ -134,7 +125,7 @@ class RandomUnderwater(SampleTransform):
             checks.instance("light", light, RandomLight, "; or a uwaug.Light")
         pitch = light.pitch if isinstance(light, Light) else None
         if isinstance(pitch, Tensor) and pitch.numel() > 1:
-            cure = "each picture draws its own by RandomLight(pitch=(low, high))"
+            cure = "RandomLight(pitch=(low, high)) draws one for each"
             raise ValueError(f"light.pitch must be one number for all pictures: {cure}")
         self.development = RandomDevelopment() if development is None else development
         checks.instance("development", self.development, RandomDevelopment)
@@ -151,17 +142,13 @@ class RandomUnderwater(SampleTransform):
 
     @classmethod
     def severity(cls, level: int, water: Any = None, **options: Any) -> "RandomUnderwater":
-        """One of five grades, for robustness studies: the default at a fixed contrast.
-
-        From one key a picture has the same light, camera and kind of water at each grade;
-        `light=None` keeps to daylight. A water that is asked for by name stays itself, and the
-        scene is scaled.
+        """One of five grades, for robustness studies: the default at a fixed contrast. From one
+        key a picture has the same light, camera and kind of water at each grade.
 
         Args:
             level: 1 (mild) … 5 (severe); .65, .5, .35, .2 and .08 of the contrast are left at the
                 scene's median distance.
-            water: as for the class; its contrast is that of the grade.
-            options: any other argument of the class.
+            water, options: as for the class.
 
         Raises:
             ValueError: if there is no such level, or the water is a `Medium`.
@@ -178,9 +165,8 @@ class RandomUnderwater(SampleTransform):
         distance_range: tuple[float, float] | None = None,
         sides: tuple[int, int] | None = None,
     ) -> Underwater:
-        """The only draw of a transform of which nothing is random, as a module.
-
-        Distances and medium field are inputs of the module, and may be random.
+        """The only draw of a transform of which nothing is random, as a module, whose inputs are
+        distances times the medium field.
 
         Args:
             distance_range: ends for which the blur is planned, m; None for those of `distance`,
@@ -190,12 +176,8 @@ class RandomUnderwater(SampleTransform):
         Raises:
             ValueError: if something is random, or follows from each picture; names it.
         """
-        names = [
-            f"{name}.{option}"
-            for name, noun in self._nouns.items()
-            if name != "distance"
-            for option in noun.random()
-        ]
+        nouns = {name: noun for name, noun in self._nouns.items() if name != "distance"}
+        names = [f"{name}.{option}" for name, noun in nouns.items() for option in noun.random()]
         names += ["p"] * (self.p < 1) + self.water.of_each_picture()
         if names:
             got = ", ".join(dict.fromkeys(names))
@@ -203,7 +185,7 @@ class RandomUnderwater(SampleTransform):
         nearest, farthest = self.distance.reach() or (0.1, 20.0)
         light = self._nouns["light"]
         lamps = isinstance(light, Fixed) and bool(light.value and light.value.lamps)
-        metered = bool(self.development.metered)
+        metered = self.development.metered
         measured = Measured(1, 0.0, 1.0, nearest, farthest, farthest, metered, lamps)
         thin, dense = self.water.field or (1.0, 1.0)
         low, high = nearest * thin, farthest * dense
@@ -219,8 +201,8 @@ class RandomUnderwater(SampleTransform):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The options that differ from the defaults, in numbers, strings, lists and dicts, as JSON,
-        YAML and TOML hold them; "none" for None.
+        """The options that differ from the defaults, as JSON, YAML and TOML hold them; "none" for
+        None.
 
         Raises:
             TypeError: if an option cannot be written so, such as a function.
@@ -231,8 +213,7 @@ class RandomUnderwater(SampleTransform):
     @staticmethod
     def from_dict(options: Mapping[str, Any]) -> "RandomUnderwater":
         """A transform from what `to_dict` gives, or from options as a person writes them in TOML:
-        nouns as tables of their arguments, a range as a list of two numbers, "none" for None;
-        `distance` as a table with a `kind`.
+        nouns as tables, a range as two numbers, "none" for None; `distance` with a `kind`.
 
         Raises:
             TypeError, ValueError: as the class, and if a table does not suit.
@@ -248,17 +229,16 @@ class RandomUnderwater(SampleTransform):
             generator: source of randomness; torch's global generator if None.
 
         Returns:
-            A plain record that can be pickled and written as JSON, {"samples": […]} with a dict for
-            each picture: "applied", whether it is degraded at all; and the draw of each noun, by
-            the names of its options: "water", with the names of one or two "waters", or amounts of
-            contents; "distance"; "light", the pitch alone by daylight; "development".
+            A plain record, as JSON holds it: {"samples": […]} with a dict for each picture:
+            "applied", whether it is degraded at all; and the draw of each noun, by the names of its
+            options: "water", with names or contents of one or two "waters"; "distance"; "light",
+            the pitch alone by daylight; "development".
         """
         count = 1 if image.ndim == 3 or is_film(image) else len(image)
         seeds = torch.randint(2**63 - 1, (count,), generator=generator, device="cpu").tolist()
         return {"samples": [self._sample(uniform_of(seed)) for seed in seeds]}
 
     def _sample(self, uniform: Uniform) -> Record:
-        """The sample of one picture in a record."""
         draws = {name: noun.drawn(uniform.of(name)) for name, noun in self._nouns.items()}
         return {"applied": uniform("applied") < self.p, **draws}
 
@@ -270,8 +250,7 @@ class RandomUnderwater(SampleTransform):
             image (3xHxW or Bx3xHxW tensor): uint8 or floating point.
             distance (1xHxW or Bx1xHxW tensor): maps as the transform's `distance` reads them; None
                 if it reads none.
-            params: from `make_params`, of this or an equally configured transform; that of a single
-                picture serves a whole batch.
+            params: from `make_params` of an equal transform; one sample serves a whole batch.
 
         Returns:
             The degraded image, like `image`; `image` itself if the record leaves all of it alone.
@@ -283,11 +262,8 @@ class RandomUnderwater(SampleTransform):
 
     @uncompiled
     def for_clip(self, params: Record, image: Tensor, distance: Tensor | None) -> Record:
-        """Make the record of one picture one for all frames of a film.
-
-        What a draw takes from a picture (the median distance to which the water is scaled,
-        exposure, white balance) is that of one frame for all of them. They may then come in any
-        order, on any worker.
+        """Make the record of one picture one for all frames of a film: median distance, exposure
+        and white balance are those of one frame. They may then come in any order, on any worker.
 
         Args:
             params: from `make_params`, of one picture.
@@ -297,8 +273,7 @@ class RandomUnderwater(SampleTransform):
         Returns:
             A record with a sample for each of these frames, with what was "measured" once for all.
             Set at each frame how far, in m, field and snow have drifted to the right ("moved"), and
-            the camera has moved to the right, down and forward ("motion"); all are 0. The sensor's
-            noise is each frame's own.
+            the camera has moved to the right, down and forward ("motion"); all are 0.
         """
         frames = pictures_of(image)
         if len(frames) > 1 and isinstance(self.distance, MadeUp):
@@ -315,13 +290,8 @@ class RandomUnderwater(SampleTransform):
 
     @uncompiled
     def contrast_left(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
-        """Share of contrast that is left at each pixel, see `uwaug.contrast_left`.
-
-        Args:
-            image, distance, params: as for `transform`.
-
-        Returns:
-            1xHxW of a picture, Bx1xHxW of a batch; 1 where a picture is left alone.
+        """Share of contrast that is left at each pixel (1xHxW, or Bx1xHxW of a batch), see
+        `uwaug.contrast_left`; 1 where a picture is left alone. Arguments as for `transform`.
         """
         return self.scenes(image, distance, params).contrast_map()
 
@@ -342,12 +312,8 @@ class RandomUnderwater(SampleTransform):
 
     def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
         image, distance, restore = self.take_apart(inputs)
-        pictures = pictures_of(image)
-        record = self.make_params(image, generator)
-        if is_film(image):
-            return restore(self.transform(image, distance, record))
-        draws = [Draw(**sample) for sample in record["samples"]]
-        scenes = scenes_of(image, pictures, distance, draws, self._nouns, self.view)
+        pictures_of(image)  # refuses what is no image
+        scenes = self.scenes(image, distance, self.make_params(image, generator))
         return restore(scenes.formed())
 
     def __repr__(self) -> str:

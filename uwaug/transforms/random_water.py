@@ -36,24 +36,20 @@ CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.35), minerals=(0.
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", "5C", *[CONTENTS] * 4)
-"""Six of ten default waters are Jerlov types, four are of other contents. In 7C and 9C by name
-nearly one colour is left, which looks like a filter; silt makes such waters grey. (Others that were
-tried: benchmarks/CHOICES.md, default draws.)
+"""Six of ten default waters are Jerlov types. In 7C and 9C by name nearly one colour is left, which
+looks like a filter. (Others that were tried: benchmarks/CHOICES.md, default draws.)
 """
 
 DIMMEST = 1 / 8
-"""Share of the surface's light that a scene has at least, where the exposure is automatic. Waters
-that are turbid enough for a scene at arm's length are black at 10 m, and before that only one
-colour is left in them, which a camera's matrix makes neon.
+"""Share of the surface's light that a scene has at least, where the exposure is automatic: below,
+turbid waters have one colour, which a camera's matrix makes neon.
 """
 
-_CURVES = 0.002
-"""Tolerance of the curves of a medium, in the light that a metered exposure makes of it."""
+_CURVES = 0.002  # tolerance of a medium's curves, in the light that a metered exposure makes of it
 
 MEDIANS = (1.0, 8.0)
 """m: ends of the median distances at which water can be brought to a contrast by its contents and
-have a colour of its own. (Losses of scenes at 35 m and at .1 m without: benchmarks/CHOICES.md,
-default draws.)
+have a colour of its own. (Beyond: benchmarks/CHOICES.md, default draws.)
 """
 
 SCALED_MEDIANS = (0.1, 100.0)
@@ -61,10 +57,9 @@ SCALED_MEDIANS = (0.1, 100.0)
 Nearer, the lens would touch it; no water lets one see farther.
 """
 
+# warned of from these factors on; of the contents, the clearest of `WATERS` need 42 for the
+# severest grade at 1 m
 MOST_SCALED, MOST_CONTENTS, MOST_MISSED = 4.0, 50.0, 2.0
-"""Factors from which on a warning is due: of the scene's scale; of the contents, where the clearest
-of `WATERS` need 42 for the severest grade at 1 m; of the contrast, less than what was asked for.
-"""
 
 _CALIBRATED = PointSpread.calibrated()
 
@@ -85,9 +80,7 @@ class Reached(NamedTuple):
 
     @property
     def odd(self) -> str:
-        """A sentence if distances are hardly metres, or the water is hardly the one that was named;
-        "" if they are.
-        """
+        """A sentence if distances are hardly metres, or the water hardly the one named; else ""."""
         asked, unit = f"{self.asked:.2g} at {self.metres:.3g} m", "are distances metres?"
         by_contents = self.by == "contents"
         if by_contents and not 1 / MOST_SCALED <= self.scale <= MOST_SCALED:
@@ -118,44 +111,38 @@ class PictureWater(NamedTuple):
 @codec.plain
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomWater(Noun):
-    """Draws the water of each picture, as its camera sees it.
-
-    A range is a number or (low, high), drawn uniformly; contrast is drawn uniformly in its
-    logarithm.
+    """Draws the water of each picture, as its camera sees it. A range is a number or (low, high),
+    drawn uniformly; contrast is drawn uniformly in its logarithm.
 
     Args:
-        waters: None for `WATERS`: six of ten pictures in Jerlov types, the others in waters of
-            other contents. Else one or several of what `uwaug.load_water` takes (Jerlov types,
-            places, contents, CSV files, `Water` objects); `Constituents` (or their text, such as
-            "chlorophyll=1:20,cdom=.1:1"), whose contents are drawn anew for each picture,
-            uniformly in their logarithm; and a `Medium`, such as that of a fit, which stays as it
-            is: contrast, depth, g, mu, blur, camera and its matrix do not apply to it. Picked with
-            equal weight; one that is given twice counts twice.
+        waters: one or several of what `uwaug.load_water` takes; `Constituents` (or their text, such
+            as "chlorophyll=1:20,cdom=.1:1"), whose contents are drawn anew for each picture,
+            uniformly in their logarithm; and a `Medium`, which stays as it is: contrast, depth, g,
+            mu, blur, camera and its matrix do not apply to it. Picked with equal weight; one that
+            is given twice counts twice. None for `WATERS`.
         contrast: share of an object's contrast of luminance that is left at the scene's median
             distance, ignoring scattered light (see `Water.contrast`). None leaves distances, and
             waters as they are in nature.
         contrast_by: "contents" brings a water to it by scaling what is in it, as far as pure water
             allows; a scene whose median lies below 1 m or above 8 m is scaled to that first.
             "distance" scales the scene, to a median between .1 and 100 m, and leaves the water as
-            it is. Under a `uwaug.Light` no scene is scaled, as lamps stand in metres: there
-            contents alone can reach it. None: by distance where all waters of a picture are names,
-            else, and under lamps where nobody named a water, by contents.
-        mixing: share of a second water, picked like the first; 0 for none, (0, 1) for a continuous
-            slider between types. Contents of both are drawn at the same shares of their ranges.
+            it is. Under a `uwaug.Light` no scene is scaled, as lamps stand in metres. None: by
+            distance where all waters of a picture are names, else, and under lamps where nobody
+            named a water, by contents.
+        mixing: share of a second water, picked like the first. Contents of both are drawn at the
+            same shares of their ranges.
         vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/8 of
-            the light is left, which it can make up for.
+            the light is left.
         g: share of the scattered light that leaves the line of sight, 0…1.
         mu: share of the scattered light sent towards the camera, 0…1. The veil of endless water has
             mu/g of the light of a white plate; a range is held at g. None for 1.5·g.
         point_spread: width law of the forward scatter; None for `PointSpread.calibrated`.
-        field: least and largest value of the medium field, which is drawn anew for each picture and
-            multiplies its distances; None for even water.
+        field: least and largest value of the medium field, which multiplies distances; None for
+            even water.
         camera: a name, the path of a CSV file or a `Camera`.
-        color_matrix: share of the camera's colour matrix, 0…1: photographs have been through
-            cameras that apply much or little of theirs. None for grey surfaces, where a channel of
-            the picture depends on that of the scene alone, see `uwaug.Medium.from_water`.
-        snow: particles that one sees, see `uwaug.MarineSnow`, whose density may be a range; None
-            for clear water.
+        color_matrix: share of the camera's colour matrix, 0…1. None for grey surfaces, see
+            `uwaug.Medium.from_water`.
+        snow: a `uwaug.MarineSnow`, whose density may be a range; None for clear water.
 
     `PLAIN` are the options of even water as it is in nature, at the surface, with grey surfaces.
 
@@ -221,7 +208,7 @@ class RandomWater(Noun):
 
     @cached_property
     def has_media(self) -> bool:
-        """True if a water is a `Medium`, of which no more is known than its curves."""
+        """True if a water is a `Medium`."""
         return any(isinstance(water, Medium) for water in self.by_name.values())
 
     def ranges(self) -> dict[str, Range | None]:
@@ -303,9 +290,7 @@ class RandomWater(Noun):
     def fields(
         self, draws: Sequence[Draw], measured: Sequence[Measured], like: Tensor, view: View
     ) -> Tensor:
-        """The medium field (Bx1xHxW) of each picture, of the height, width and type of `like`; 1 in
-        even water.
-        """
+        """The medium field (Bx1xHxW) of each picture, of the size of `like`; 1 in even water."""
         if self.field is None:
             return like.new_ones(())
         scales = [view.focal(m.width) / m.median for m in measured]  # px a metre
@@ -323,7 +308,6 @@ class RandomWater(Noun):
         return medium
 
     def _with_snow(self, medium: Medium, draw: Drawn, measured: Measured) -> Medium:
-        """A medium with the particles of a draw; with those of its own if none are drawn."""
         if self.snow is None:
             return medium
         snow = self.snow.of(draw["snow"])
@@ -339,7 +323,6 @@ class RandomWater(Noun):
         return min(mu, g) if isinstance(self.mu, (tuple, list)) else mu
 
     def _spectra(self, water: str | Mapping[str, float]) -> Water:
-        """Spectra of a water, by its name or by the amounts of its contents."""
         if not isinstance(water, str):
             return Water.of_amounts(water)
         spectra = self.by_name[water]
@@ -348,13 +331,11 @@ class RandomWater(Noun):
 
     def _require_water(self, water: Any) -> None:
         """Refuse a water that cannot have been drawn."""
-        waters = self.by_name.values()
-        if isinstance(water, Mapping):
-            is_possible = any(w.holds(water) for w in waters if isinstance(w, Constituents))
+        if isinstance(water, str):
+            is_possible = isinstance(self.by_name.get(water), Water | Medium)
         else:
-            is_possible = isinstance(water, str) and isinstance(
-                self.by_name.get(water), (Water, Medium)
-            )
+            contents = [w for w in self.by_name.values() if isinstance(w, Constituents)]
+            is_possible = isinstance(water, Mapping) and any(w.holds(water) for w in contents)
         if not is_possible:
             has = ", ".join(self.by_name)
             raise ValueError(f"params asks for {water!r:.80}, but this transform has {has}")

@@ -1,6 +1,4 @@
-"""Samples as loaders give them, an image and a map inside a tuple, a list or a dict; and the base
-class of their transforms.
-"""
+"""Samples of loaders, an image and a map in a tuple, list or dict; the base of their transforms."""
 
 import copy
 import hashlib
@@ -32,9 +30,8 @@ class Parts(NamedTuple):
 
 
 def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool) -> Parts:
-    """Find image and map in (image, distance, …), or in one tuple, list or dict that holds them.
-
-    In second place of a tuple, a dict may hold the map. Without `reads_maps` none has to be there.
+    """Find image and map in (image, distance, …), or in one tuple, list or dict that holds them; in
+    second place of a tuple, a dict may hold the map. Without `reads_maps` none has to be there.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if isinstance(sample, Mapping):
@@ -96,9 +93,7 @@ def uncompiled(function: Callable[P, T]) -> Callable[P, T]:
 
 
 class SampleTransform(nn.Module):
-    """A random transform of samples. A subclass is a dataclass, with a `_sampled` that transforms
-    one of them.
-    """
+    """A random transform of samples. A subclass is a dataclass with a `_sampled`."""
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:  # noqa: D102  (no signature of its own)
         # a module has to be one before the fields of a dataclass are set
@@ -122,8 +117,8 @@ class SampleTransform(nn.Module):
             index: of the picture (or batch); a number, or a name such as a path. "7" is 7.
 
         Returns:
-            A function of the same inputs as the transform, which draws the same at every call.
-            Its record is `make_params(image, generator_of(seed, epoch, index))`.
+            A function of the same inputs, whose record is
+            `make_params(image, generator_of(seed, epoch, index))`.
         """
         return partial(self._apply_with, key_of(seed, epoch, index))
 
@@ -181,11 +176,9 @@ def maps_for(pictures: Tensor, distance: Any, source: Source) -> Sequence[Tensor
             raise ValueError(f"distance: a map came, which {source!r:.80} does not read")
         return [None] * len(pictures)
     if distance is None:
-        cure = "for pictures without maps there are MadeUp, Network and Plane of uwaug.distance"
-        cure += ". kornia's containers pass a picture alone: call the transform after them"
-        raise ValueError(
-            f"distance is missing: give a map, or RandomUnderwater(distance=…): {cure}"
-        )
+        cure = "give a map, or RandomUnderwater(distance=MadeUp(), Network(…) or Plane(…))"
+        kornia = "kornia's containers pass a picture alone: call the transform after them"
+        raise ValueError(f"distance is missing: {cure}. {kornia}")
     hint = "; divide a map in millimetres by 1000"
     if not isinstance(distance, Tensor):
         hint = "; expected (image, distance, …), (image, {'distance': …}) or a dict of both"

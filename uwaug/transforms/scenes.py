@@ -36,19 +36,12 @@ _blank = Once(looks=16)
 
 
 class Scene(NamedTuple):
-    """One picture in the water that it has drawn.
-
-    Attributes:
-        setting: water, light and camera.
-        scale: factor of all distances.
-        vertical_depth: m; None of a `Medium`.
-        reached: the contrast and what it took; None if no contrast was asked for.
-    """
+    """One picture in the water that it has drawn."""
 
     setting: Setting
-    scale: float
-    vertical_depth: float | None
-    reached: Reached | None
+    scale: float  # factor of all distances
+    vertical_depth: float | None  # m; None of a medium
+    reached: Reached | None  # None if no contrast was asked for
 
 
 class Scenes(NamedTuple):
@@ -88,11 +81,8 @@ class Scenes(NamedTuple):
         return typed(result[0] if self.image.ndim == 3 else result, type(self.image))
 
     def contrast_map(self, step: int = 1) -> Tensor:
-        """Share of contrast that is left, see `uwaug.contrast_left`: 1xhxw of a picture, Bx1xhxw of
-        a batch; 1 where there is no water.
-
-        Args:
-            step: rows and columns from one sample to the next.
+        """Share of contrast that is left (1xhxw of a picture, Bx1xhxw of a batch), at each `step`th
+        row and column; 1 where there is no water.
         """
         shares = list(torch.ones_like(self.pictures[:, :1, ::step, ::step], dtype=torch.float32))
         maps = [distances[..., ::step, ::step] for distances in (self.z, self.metres)]
@@ -107,11 +97,7 @@ class Scenes(NamedTuple):
         return scenes[picture].reached if picture in scenes else None
 
     def truth(self, picture: int = 0) -> Truth | None:
-        """What water and camera did to one of the pictures; None if it is left alone.
-
-        Raises:
-            IndexError: if there is no such picture.
-        """
+        """What water and camera did to one of the pictures; None if it is left alone."""
         if not 0 <= picture < len(self.pictures):
             raise IndexError(f"picture must be 0…{len(self.pictures) - 1}, got {picture}")
         if picture not in self.chosen:
@@ -148,14 +134,8 @@ def scenes_of(
     nouns: Mapping[str, Any],
     view: View,
 ) -> Scenes:
-    """Put an image into the water of its draws, which are not checked here.
-
-    Args:
-        image (3xHxW or Bx3xHxW tensor), distance: as for `RandomUnderwater.transform`.
-        pictures (Bx3xHxW tensor): all of the image, from `pictures_of`.
-        draws: one for each picture.
-        nouns: the nouns of a transform, by the names of `Draw`.
-        view: of the camera.
+    """Put an image, whose pictures are Bx3xHxW, into the water of their draws, by the nouns of a
+    transform.
     """
     fast.load()  # else the first picture of a process would be off by the last bits
     water: RandomWater = nouns["water"]
@@ -195,9 +175,7 @@ def scenes_of(
 def _scene(
     draw: Draw, measured: Measured, of_film: Measured, nouns: Mapping[str, Any], view: View
 ) -> Scene:
-    """Water, light and camera of a picture, from its draw and from what was measured of it: by
-    itself, and as its film has it.
-    """
+    """A picture in water, from its draw and what was measured: by itself, and of its film."""
     water: RandomWater = nouns["water"]
     lamps = measured.lamps or RandomLight.has_lamps(draw.light)
     medium, scale, vertical_depth, reached = water.of(draw.water, of_film, lamps=lamps)
@@ -235,8 +213,8 @@ def _metres_of(
             if source.reads_pictures and color_space == "linear":
                 light = picture if picture.is_floating_point() else picture / 255
                 srgb = linear_to_srgb(light.clamp(0, 1))
-            rays = {"focal_px": view.focal(picture.shape[-1]), "center": view.center}
             with naming(i, len(pictures)):
+                rays = view.planar(picture.shape[-1])
                 metres = source.metres(metres, srgb, draw.distance, **rays)
         if metres.dtype.itemsize < 4:
             metres = metres.float()

@@ -12,17 +12,10 @@ from uwaug.formation.image import terms_of
 from uwaug.formation.setting import Setting
 from uwaug.optics.curves import passed
 
-_RATES = (1e-3, 30.0)
-"""1/m: ends of the rates of water by `Coefficients`."""
-
-_GRID, _ZOOMS = 17, 4
-"""Rates that are tried at a time, and how often the two about the best are the next ends."""
-
-_PIXELS = 4096
-"""Pixels, about, by which rates are fitted."""
-
-Shape = Callable[[Tensor], Tensor]
-"""Function of the optical depth."""
+_RATES = (1e-3, 30.0)  # 1/m: ends of the rates of water by `Coefficients`
+_GRID = 17  # rates that are tried at a time
+_ZOOMS = 4  # times that the two about the best are the next ends
+_PIXELS = 4096  # about, by which rates are fitted
 
 MAPS = ("clean", "z", "transmission", "signal", "veil")
 """Maps of a `Truth`."""
@@ -90,19 +83,10 @@ class Truth(NamedTuple):
 
 
 def truth_of(
-    J: Tensor,
-    z: Tensor,
-    metres: Tensor,
-    setting: Setting,
-    vertical_depth: float | None,
+    J: Tensor, z: Tensor, metres: Tensor, setting: Setting, vertical_depth: float | None
 ) -> Truth:
-    """The truth of one picture.
-
-    Args:
-        J (1x3xHxW tensor): linear light of the scene.
-        z, metres (1x1xHxW tensors): distances with the medium field and without, m.
-        setting: of this picture.
-        vertical_depth: m, or None.
+    """The truth of one picture, from linear light J of the scene (1x3xHxW) and distances z with the
+    medium field and metres without (1x1xHxW).
     """
     medium, light = setting.medium.to(z), setting.light
     T, terms, gain = terms_of(J, z, setting, metres)
@@ -129,10 +113,8 @@ def truth_of(
     return Truth(*maps, vertical_depth, coefficients)
 
 
-def _nearest(z: Tensor, white: Tensor, light: Tensor, shape: Shape) -> Tensor:
-    """Rates (1x3x1x1) of the white·shape(rate·z) that is nearest to light (1x3xHxW), by some of the
-    pixels.
-    """
+def _nearest(z: Tensor, white: Tensor, light: Tensor, shape: Callable[[Tensor], Tensor]) -> Tensor:
+    """Rates (1x3x1x1) of the white·shape(rate·z) that is nearest to light (1x3xHxW)."""
     step = z.numel() // _PIXELS | 1  # odd: not the same columns of every row
     maps = (x.expand_as(light).flatten(2) for x in (z, white, light))
     x, w, y = (values[:, :, None, ::step].double() for values in maps)
