@@ -100,10 +100,9 @@ def instance(name: str, value: object, kind: type, hint: str = "") -> None:
 def floating(name: str, value: object, hint: str = "") -> None:
     """Refuse anything but a floating-point tensor; `hint` names the cure."""
     import torch
-    from torch import Tensor
 
-    if not isinstance(value, Tensor) or not value.is_floating_point():
-        got = value.dtype if isinstance(value, Tensor) else type(value).__name__
+    if not isinstance(value, torch.Tensor) or not value.is_floating_point():
+        got = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
         cure = "; scale 0…255 to 0…1 first" if got == torch.uint8 and not hint else hint
         # NumPy's arrays and PIL's images
         cure = _CONVERT if hasattr(value, "__array_interface__") else cure

@@ -71,7 +71,6 @@ def from_plain(data: Any, *expected: type) -> Any:
 
 
 def _read(name: str, data: Any, hints: tuple[Any, ...]) -> Any:
-    """Read a value of a field called `name`, which may have these types."""
     if isinstance(data, (list, tuple)):
         return tuple(_read(name, item, hints) for item in data)
     if not isinstance(data, Mapping):

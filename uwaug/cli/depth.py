@@ -85,7 +85,6 @@ def depth(
 
 
 def _colour(name: str, text: str) -> tuple[float, ...]:
-    """The three numbers of an option."""
     try:
         red, green, blue = map(float, text.split(","))
     except ValueError:

@@ -219,7 +219,6 @@ def _without_stand_ins(x: Tensor, holes: Holes) -> Tensor:
 
 
 def _without_holes(z: Tensor, holes: Holes) -> Tensor:
-    """Treat the holes of a map in metres."""
     if not isinstance(holes, str):
         return torch.where(z > 0, z, holes)
     if holes == "far":

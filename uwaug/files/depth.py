@@ -67,7 +67,6 @@ class _Maps(Work):
 
 
 def _whole_numbers(depth: Tensor, network: Network) -> NDArray[np.uint16]:
-    """The numbers of a map (1xHxW) in its file (HxW)."""
     values = depth[0].double().numpy()
     low, high = float(values.min()), float(values.max())
     if not np.isfinite(high - low):

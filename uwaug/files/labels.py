@@ -20,14 +20,10 @@ if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
+# of an object in its picture: the id of a COCO annotation, a line of a YOLO file or an object of a
+# VOC file counted from 1, a value of a mask
 Key = int | str
-"""Key of an object in its picture: the id of a COCO annotation, a line of a YOLO file or an object
-of a VOC file counted from 1, a value of a mask.
-"""
-
-Entry = dict[str, Any]
-"""An object of JSON or YAML."""
-
+Entry = dict[str, Any]  # an object of JSON or YAML
 _SAMPLE_FILES = 16  # files of labels by which a format is recognised
 
 

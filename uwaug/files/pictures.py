@@ -274,7 +274,6 @@ class _File(NamedTuple):
 
 
 def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> _File:
-    """A file's content, without an opaque alpha."""
     end = _ending(path, ENDINGS if channels == "RGB" else (*MAP_ENDINGS, ".jpg", ".jpeg"))
     require_regular(path)
     try:

@@ -25,8 +25,7 @@ from uwaug.files.sheet import drawn_sheet
 from uwaug.files.summary import Result, Summary
 from uwaug.transforms.random_water import Reached
 
-Progress = Callable[[int, int], None]
-"""Function of the numbers of finished and of all pictures, called first and after each picture."""
+Progress = Callable[[int, int], None]  # of the numbers of finished and of all pictures
 
 
 class Job(NamedTuple):

@@ -170,7 +170,6 @@ def replay(
 
 
 def _labels_note(labels: Labels, items: Sequence[Item]) -> str:
-    """The sentence on the format of labels, and on the pictures that have some."""
     unlabelled = [item.name for item in items if item.name not in labels.of]
     rest = f", not to {unlabelled[0]}" if unlabelled else ""
     count = len(items) - len(unlabelled)
@@ -272,7 +271,6 @@ def _questions(
     z: Tensor | None,
     labels: Labels | None,
 ) -> list[str]:
-    """Keys of `ASKED` that apply to a picture."""
     source, image = transform.distance, picture.image
     may_be_12_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
     may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
@@ -286,7 +284,6 @@ def _questions(
 
 
 def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
-    """Refuse pictures without maps where a recipe needs them, and films with guessed distances."""
     source = recipe.transform.distance
     missing = next((item.name for item in items if item.distance is None), None)
     if missing and source.reads_maps:

@@ -206,7 +206,6 @@ def _told(source: Path | None, classes: Entry, lists: Mapping[Path, list[str]]) 
 
 
 def _first(file: Path) -> list[float]:
-    """Numbers of the first object of a file; none without objects."""
     words = file.read_text(encoding="utf-8-sig").strip().partition("\n")[0].split()
     return [float(word) for word in words]
 
