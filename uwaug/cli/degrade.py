@@ -181,7 +181,7 @@ def degrade(
             **run_values,
         )
         if recipe.transform.water.has_media and (severity or contrast not in (None, "none")):
-            raise ValueError("a medium of coefficients has no --contrast and no --severity")
+            raise ValueError("a medium of coefficients stays as it is, without grades")
         items = find_items(pictures, distances.maps, exclude=[out, labels])
         if formats_left_out := left_out(pictures, distances.maps, exclude=[out, labels]):
             print(f"left out, as such files are not read: {formats_left_out}")

@@ -104,7 +104,7 @@ def _read(file: Path) -> "tuple[NDArray[Any], NDArray[Any], list[int] | None]":
             colours = [tuple(palette[3 * i : 3 * i + 3]) for i in range(int(pixels.max()) + 1)]
             black = (0, 0, 0)
             if black in colours[1:] and colours[0] != black:
-                got = f"0 is {colours[0]} in its palette, and {colours.index(black)} is black"
+                got = f"in its palette 0 is {colours[0]}, and {colours.index(black)} is black"
                 raise ValueError(f"{file}: {got}: which is background? Save it as RGB")
         return pixels, pixels, palette
     if (pixels == pixels[..., :1]).all():

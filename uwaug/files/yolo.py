@@ -70,8 +70,8 @@ class Yolo(Folder):
         counts = {len(numbers) for file in samples if (numbers := _first(file))}
         if len(counts) == 1 and min(counts) > 6:
             got = f"{samples[0]}: objects of {min(counts)} numbers are polygons, or have keypoints"
-            cure = "a data.yaml with kpt_shape: [how many, 2 or 3], or of polygons with names alone"
-            raise ValueError(f"{got}: {self.path} needs {cure}")
+            cure = "say kpt_shape: [how many, 2 or 3], or of polygons nothing but names"
+            raise ValueError(f"{got}: {cure}, in {self.path / 'data.yaml'}")
         return replace(self, description=classes, told=_told(source, classes, lists))
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
@@ -86,7 +86,8 @@ class Yolo(Folder):
                 shares = shares[:4] if "kpt_shape" in self.description else shares
                 is_whole = len(shares) >= 4 and len(shares) % 2 == 0
                 if not is_whole or not all(-0.5 <= share <= 1.5 for share in shares):
-                    raise ValueError("expected a class, and shares 0…1; keypoints need a kpt_shape")
+                    expected = "expected a class, and shares of width and height, 0…1"
+                    raise ValueError(f"{expected}; keypoints need a kpt_shape in data.yaml")
             except ValueError as error:
                 raise ValueError(f"{file}, line {number}: {error}") from error
             corners = [share * side for share, side in zip(shares, cycle(size[::-1]), strict=False)]
