@@ -48,7 +48,7 @@ def bounds(low: float, high: float) -> str:
 def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> None:
     """Refuse a number outside [low, high], an infinite one, and anything that is no number."""
     if hasattr(value, "requires_grad"):  # it would get no gradient
-        cure = "Underwater(…, learnable=True) learns what water does"
+        cure = "to learn what water does, use Underwater(…, learnable=True)"
         raise TypeError(f"{name} must be a number, got a tensor; {cure}")
     number = isinstance(value, (int, float, np.number))
     # compilers have symbols for numbers, of which isfinite knows nothing
@@ -100,10 +100,9 @@ def instance(name: str, value: object, kind: type, hint: str = "") -> None:
 def floating(name: str, value: object, hint: str = "") -> None:
     """Refuse anything but a floating-point tensor; `hint` names the cure."""
     import torch
-    from torch import Tensor
 
-    if not isinstance(value, Tensor) or not value.is_floating_point():
-        got = value.dtype if isinstance(value, Tensor) else type(value).__name__
+    if not isinstance(value, torch.Tensor) or not value.is_floating_point():
+        got = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
         cure = "; scale 0…255 to 0…1 first" if got == torch.uint8 and not hint else hint
         # NumPy's arrays and PIL's images
         cure = _CONVERT if hasattr(value, "__array_interface__") else cure
@@ -173,8 +172,7 @@ def same_size(name: str, value: "Tensor", image: "Tensor") -> None:
 def same_device(name: str, value: "Tensor", image: "Tensor") -> None:
     """Refuse a tensor on another device than the image."""
     if value.device != image.device:
-        devices = f"on {value.device} but image is on {image.device}"
-        raise ValueError(f"{name} is {devices}: move it with .to(…)")
+        raise ValueError(f"{name} is on {value.device} but image is on {image.device}: use .to(…)")
 
 
 def batches(sizes: Mapping[str, int]) -> None:

@@ -1,8 +1,4 @@
-"""Dataclasses as dictionaries for JSON, YAML and TOML: the codec of presets, records, fits, ONNX
-files, runs and options.
-
-"none" stands for None where a field may be None, as TOML has no word for it.
-"""
+"""Dataclasses as dictionaries for JSON, YAML and TOML, in which "none" stands for None."""
 
 import os
 from collections.abc import Iterable, Mapping
@@ -58,16 +54,15 @@ def to_plain(value: Any) -> Any:
 
 
 def from_plain(data: Any, *expected: type) -> Any:
-    """Read what `to_plain` has written; lists become tuples.
+    """Read what `to_plain` has written, or a person in TOML; lists become tuples.
 
     Args:
-        data: from `to_plain`, or as a person writes it in TOML.
+        data: value to read.
         expected: classes that the result may have, with those that derive from them; without any,
             no object is made. Without "kind" it is the first that has all of the attributes.
 
     Raises:
-        TypeError, ValueError: if a class is not expected, a field has another type, or a class
-            refuses what it is given.
+        TypeError, ValueError: if a class or the type of a field is another, or a class refuses it.
     """
     try:
         return _read("", data, expected)
@@ -76,7 +71,6 @@ def from_plain(data: Any, *expected: type) -> Any:
 
 
 def _read(name: str, data: Any, hints: tuple[Any, ...]) -> Any:
-    """Read a value of a field called `name`, which may have these types."""
     if isinstance(data, (list, tuple)):
         return tuple(_read(name, item, hints) for item in data)
     if not isinstance(data, Mapping):

@@ -16,13 +16,8 @@ _inherited: list[Any] = []
 
 
 class Session:
-    """File that ONNX Runtime runs. It opens at first use, in each process anew.
-
-    Args:
-        path: the ONNX file.
-        threads: 0 lets ONNX Runtime choose; None takes as many as torch has at first use.
-        optimise: let ONNX Runtime rewrite the graph.
-        providers: execution providers.
+    """File that ONNX Runtime runs. It opens at first use, in each process anew. 0 `threads` let
+    ONNX Runtime choose; None takes as many as torch has then.
     """
 
     def __init__(

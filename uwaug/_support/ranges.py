@@ -6,8 +6,7 @@ import numpy as np
 
 from uwaug._support import checks
 
-Range = float | tuple[float, float]
-"""Number, or range (low, high)."""
+Range = float | tuple[float, float]  # number, or (low, high)
 
 
 def as_range(

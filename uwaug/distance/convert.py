@@ -28,7 +28,6 @@ def from_relative(
 
     Raises:
         ValueError: `t` leaves [0, 1], or `near`, `far`, `gamma` are out of range.
-        TypeError: `t` is no floating-point tensor.
 
     Examples:
         >>> from_relative(torch.tensor([[0.0, 0.5, 1.0]]), near=1.0, far=5.0, gamma=2.0)
@@ -36,8 +35,7 @@ def from_relative(
     """
     t = as_maps("t", t)
     if bool(((t < 0) | (t > 1)).any()):
-        cure = "normalise first, (t - t.min()) / (t.max() - t.min())"
-        raise ValueError(f"t must lie in [0, 1], got {checks.span(t)}: {cure}")
+        raise ValueError(f"t must lie in [0, 1], got {checks.span(t)}: normalise it first")
     n, f, power = (torch.as_tensor(number, dtype=torch.float64) for number in (near, far, gamma))
     if not bool(((n >= 0) & (f >= n) & f.isfinite()).all()):
         raise ValueError(f"near and far must be 0 <= near <= far < inf, got {near} and {far}")
@@ -63,7 +61,6 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
 
     Raises:
         ValueError: a map is constant or has no finite value, or `near`, `far` are out of range.
-        TypeError: `inverse` is no floating-point tensor.
 
     Source: Ranftl et al. 2022, Towards robust monocular depth estimation.
 
@@ -104,10 +101,6 @@ def from_disparity(
     Returns:
         Metres, shape of `disparity`; NaN where that is unknown or disparity + offset ≤ 0.
 
-    Raises:
-        ValueError: `focal_px` or `baseline_m` is not positive, or `offset_px` not finite.
-        TypeError: `disparity` is no floating-point tensor.
-
     Examples:
         >>> from_disparity(torch.tensor([[10.0, 20.0, 0.0]]), focal_px=1000.0, baseline_m=0.1)
         tensor([[10.,  5., nan]])
@@ -137,10 +130,6 @@ def along_ray(
 
     Returns:
         Metres, shape of `depth`.
-
-    Raises:
-        ValueError: a focal length is not positive, or `centre` not finite.
-        TypeError: `depth` is no floating-point tensor.
 
     Examples:
         >>> along_ray(torch.full((1, 3), 2.0), focal_px=1.0)

@@ -19,11 +19,8 @@ STAGES = {"d2": 1, "d3": 3, "d4": 3, "d5": 1}  # blocks in each stage, at half t
 POOLED_PX = (5, 9, 13)  # windows of the last stage
 PIXELS = 12288  # of the copy that the network sees
 
-Convolve = Callable[[str, Tensor, int], Tensor]
-"""Function (name, input, stride) → output of a layer."""
-
-Weights = dict[str, tuple[Tensor, Tensor]]
-"""Kernel and bias of each layer."""
+Convolve = Callable[[str, Tensor, int], Tensor]  # (name, input, stride) → output of a layer
+Weights = dict[str, tuple[Tensor, Tensor]]  # kernel and bias of each layer
 
 
 def encoded(pictures: Tensor, convolve: Convolve) -> list[Tensor]:
@@ -104,10 +101,8 @@ def layers_of(weights: Weights) -> Convolve:
 
 @torch.no_grad()
 def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
-    """Guess distances of a picture (3xHxW, sRGB in 0…1).
-
-    Returns (H/2xW/2 each): logarithms of distance, up to scale and shift; and the probability of
-    open water, sky or a plain backdrop.
+    """Guess from a picture (3xHxW, sRGB in 0…1), H/2xW/2 each: logarithms of distance, up to scale
+    and shift; and the probability of open water, sky or a plain backdrop.
     """
     convolve = layers_of(weights)
     pictures = picture[None].contiguous(memory_format=torch.channels_last)

@@ -64,9 +64,6 @@ def doubts(distance: Tensor | Sequence[Tensor], image: Tensor | Sequence[Tensor]
 
     Returns:
         Sentences, each with its cure.
-
-    Raises:
-        TypeError, ValueError: if these are no maps and pictures, or not as many of both.
     """
     maps = [distance] if isinstance(distance, Tensor) and distance.ndim == 3 else list(distance)
     pictures = [image] if isinstance(image, Tensor) and image.ndim == 3 else list(image)
@@ -79,7 +76,6 @@ class FirstMaps(Once):
     """Doubts about the first maps of a process: of the first one, then of the first eight."""
 
     def renew(self) -> None:
-        """See `Once.renew`."""
         super().renew()
         self.entries: dict[int, Evidence] = {}
 

@@ -43,12 +43,10 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
             the farthest distance there.
 
     Returns:
-        Shape of `distance`, between the least and the largest known value; differentiable in the
-        known pixels, with the choice of sources held fixed.
+        Shape of `distance`; differentiable in the known pixels, with their choice held fixed.
 
     Raises:
         ValueError: a map has no known pixel.
-        TypeError: `distance` is no floating-point tensor.
 
     Warns:
         UserWarning: once in a process, if more than 20 % of a map is unknown without `behind`.

@@ -66,7 +66,6 @@ class MadeUp(Source):
 
     @torch.no_grad()
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        """See `Source.metres`."""
         rng = np.random.default_rng(int(drawn["scene"] * 2**53))
         white = 255 if image.dtype == torch.uint8 else 1
         picture = cue.small_copy(image).float() / white

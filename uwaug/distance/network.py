@@ -54,9 +54,6 @@ class Network(Source):
 
     Raises:
         FileNotFoundError: there is no such file, or the hub does not give it.
-        ImportError: huggingface_hub is not installed.
-        ValueError: `short_side` or `multiple` is not positive, or a file or a function gets a
-            revision.
 
     Examples:
         >>> network = Network("depth-anything-v2-small")  # doctest: +SKIP
@@ -104,11 +101,9 @@ class Network(Source):
         return None if callable(self.model) else self._opened.path
 
     def reach(self) -> tuple[float, float] | None:
-        """See `Source.reach`."""
         return self.holds.reach()
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        """See `Source.metres`."""
         guess = self(image / 255 if image.dtype == torch.uint8 else image)
         checks.floating("the network's map", guess)
         checks.picture("the network's map", guess, 1)
@@ -126,10 +121,7 @@ class Network(Source):
             (B, 1, H, W) or (1, H, W), on the device of `image`; what `holds` says.
 
         Raises:
-            ImportError: onnxruntime is not installed.
-            TypeError: `image` is no floating-point tensor.
-            ValueError: `image` has another shape or leaves [0, 1], the file is no model, or the
-                network gives something else than a map.
+            ValueError: `image` leaves [0, 1], or the file is no network that gives a map.
         """
         if callable(self.model):
             return self.model(image)

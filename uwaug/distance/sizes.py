@@ -38,11 +38,8 @@ def size_in_words(size: Sequence[int], other: Sequence[int]) -> str:
 
 
 def brought_to(size: Sequence[int], z: Tensor) -> Tensor:
-    """Bring distances (1xhxw, m) to another (height, width). Between four like distances they are
-    linear; across edges, and beside holes and open water, they are those of the nearest pixel.
-
-    Warns:
-        UserWarning: once in a process, with both sizes.
+    """Bring distances (1xhxw, m) to another (height, width), and warn once in a process. Between
+    four like distances they are linear; at edges, holes and open water those of the nearest pixel.
     """
     if z.shape[-2:] == tuple(size):
         return z

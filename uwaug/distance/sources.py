@@ -1,6 +1,4 @@
-"""Sources of distances, for `RandomUnderwater(distance=…)`: the meaning of maps, or what replaces
-them. They give metres at every pixel, or an error.
-"""
+"""Sources of distances, for `RandomUnderwater(distance=…)`: the meaning of maps, or no maps."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, get_args
@@ -34,16 +32,10 @@ _stand_in_warning = Once()
 
 
 class Source(Noun):
-    """Source of a picture's distances. A subclass is a frozen dataclass.
+    """Source of a picture's distances. A subclass is a frozen dataclass."""
 
-    Attributes:
-        reads_maps: each picture brings a map.
-        reads_pictures: distances follow from the picture's values, which then come as sRGB; else
-            only its size and type count.
-    """
-
-    reads_maps: ClassVar[bool] = True
-    reads_pictures: ClassVar[bool] = False
+    reads_maps: ClassVar[bool] = True  # of which each picture brings one
+    reads_pictures: ClassVar[bool] = False  # as sRGB; else their size and type alone count
 
     def reach(self) -> tuple[float, float] | None:
         """Nearest and farthest distance (m) of all pictures; None where they follow from maps."""
@@ -51,15 +43,7 @@ class Source(Noun):
             return None
         return self._ends["near"][0], self._ends["far"][1]
 
-    def metres(
-        self,
-        distance: Tensor | None,
-        image: Tensor,
-        drawn: Drawn,
-        *,
-        focal_px: float | None = None,
-        center: tuple[float, float] | None = None,
-    ) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         """Compute the distances of a picture: metres above 0, or +inf for open water.
 
         Args:
@@ -67,8 +51,8 @@ class Source(Noun):
                 result has its size.
             image (3xHxW tensor): the picture; uint8, or floating point in 0…1.
             drawn: numbers that the picture has drawn, by name.
-            focal_px: focal length, px of the picture; planar maps need it.
-            center: pixel (x, y) of the optical axis; the picture's middle if None.
+            view: focal_px (px of the picture), which planar maps need; and center, the pixel (x, y)
+                of the optical axis, or None for the middle.
 
         Raises:
             ValueError: if the map holds something else, or has holes without a treatment.
@@ -96,16 +80,7 @@ class Metres(Source):
         if self.planar not in (True, False):
             raise ValueError(f"planar must be true or false, got {self.planar!r}")
 
-    def metres(
-        self,
-        distance: Tensor | None,
-        image: Tensor,
-        drawn: Drawn,
-        *,
-        focal_px: float | None = None,
-        center: tuple[float, float] | None = None,
-    ) -> Tensor:
-        """See `Source.metres`."""
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         assert distance is not None
         z = as_maps("distance", distance)
         checks.metres("distance", z)
@@ -120,10 +95,10 @@ class Metres(Source):
                 z = torch.where(stand_in, torch.inf, z)
             z = torch.where(range_end(z), torch.inf, z)
         if self.planar:
-            focal_px = focal_px or 0.0
+            focal_px = view.get("focal_px") or 0.0
             checks.positive("focal_px", focal_px, "px")
             (h, w), (height, width) = z.shape[-2:], image.shape[-2:]
-            x, y = center or (width / 2, height / 2)
+            x, y = view.get("center") or (width / 2, height / 2)
             focal = focal_px * w / width, focal_px * h / height
             z = along_ray(z, focal, (x * w / width, y * h / height))
         return _without_holes(z, self.holes)
@@ -152,7 +127,6 @@ class Relative(Source):
         _require_holes(self.holes)
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        """See `Source.metres`."""
         assert distance is not None
         near = max(drawn["near"], _LEAST_NEAR_M)
         t = _without_stand_ins(as_maps("distance", distance), self.holes)
@@ -182,7 +156,6 @@ class Inverse(Source):
         _require_holes(self.holes)
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        """See `Source.metres`."""
         assert distance is not None
         inverse = _without_stand_ins(as_maps("distance", distance), self.holes)
         return _without_holes(from_inverse(inverse, drawn["near"], drawn["far"]), self.holes)
@@ -206,12 +179,10 @@ class Plane(Source):
         as_range("distance", self.distance, 0.0, unit="m")
 
     def reach(self) -> tuple[float, float]:
-        """See `Source.reach`."""
         low, high, _ = self._ends["distance"]
         return low, high
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        """See `Source.metres`."""
         dtype = torch.promote_types(image.dtype, torch.float32)
         return image.new_full((1, *image.shape[-2:]), drawn["distance"], dtype=dtype)
 
@@ -248,7 +219,6 @@ def _without_stand_ins(x: Tensor, holes: Holes) -> Tensor:
 
 
 def _without_holes(z: Tensor, holes: Holes) -> Tensor:
-    """Treat the holes of a map in metres."""
     if not isinstance(holes, str):
         return torch.where(z > 0, z, holes)
     if holes == "far":

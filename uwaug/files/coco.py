@@ -114,7 +114,6 @@ def _matches(path: Path, images: Sequence[Entry], items: Sequence["Item"]) -> di
 
 
 def _pixels(entry: Entry, size: "Size") -> "Pixels":
-    """Pixels of an annotation, by its segmentation, else by its box."""
     from uwaug.files.pixels import of_box, of_polygons, of_runs
 
     segmentation = entry.get("segmentation")

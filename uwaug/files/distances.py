@@ -6,12 +6,11 @@ from typing import Any, NamedTuple
 
 from uwaug._support.ranges import read_range
 
+# distances from pictures alone, by word: sources as plain values
 WORDS: dict[str, dict[str, Any]] = {
     "made-up": {"kind": "MadeUp"},
     "depth-anything": {"kind": "Network", "model": "depth-anything-v2-small"},
 }
-"""Distances from pictures alone, by word: sources as plain values."""
-
 _FILM_PLANE_M = (1.0, 5.0)  # least and largest distance of the plane that a film without maps is
 
 
@@ -32,13 +31,8 @@ def distances_of(
     sequence: bool = False,
 ) -> Distances:
     """Choose the distances of a run by its options; refuses options of maps where there are none.
-
-    Args:
-        distance: a file, a folder or a pattern, see `find_items`; else metres, as 3 or 1:5, or a
-            word of `WORDS`; None if not given.
-        source: plain value of `RandomUnderwater(distance=…)`; None if not given.
-        unit, holes: as for `Recipe` and `Metres`; any but the defaults are of maps.
-        sequence: True if pictures are frames of films.
+    `distance` is a file, a folder or a pattern, see `find_items`; metres, as 3 or 1:5; or a word of
+    `WORDS`. `source` is a plain value of `RandomUnderwater(distance=…)`.
     """
     has_options = source is not None or (unit, holes) != ("m", "error")
     if distance is not None and not exists(distance):

@@ -90,15 +90,9 @@ def _lock(file: IO[str]) -> bool | None:
 
 
 class RunFolder:
-    """What a run may write in a folder that it holds; a FileExistsError if that holds anything else
-    than a run to `resume`, with the same `made_with`, or to remove by `force`.
-
-    Args:
-        out: folder.
-        made_with: what all results follow from.
-        files: names of all files of the run but its lists, which are those of all pictures.
-        inputs: real paths of files that are read, and never removed.
-        resume, force: as for `degrade`.
+    """What a run may write in a folder that it holds: `files` and lists of all pictures. Anything
+    else in the folder is refused, but a run to `resume`, with the same `made_with`, or to remove by
+    `force`. `inputs` are real paths of files that are read, and never removed.
     """
 
     def __init__(

@@ -179,7 +179,6 @@ def _files(folder: Path, paths: Iterable[Path], excluded: frozenset[str]) -> Ite
 
 
 def _times_in(folder: Path) -> list[tuple[float, Path]]:
-    """Maps in a folder by the times that their names say, in order."""
     files = [file for file in folder.glob("*.*") if file.suffix.lower() in MAP_ENDINGS]
     return sorted((time, file) for file in files if (time := time_of(file.name)) is not None)
 
@@ -230,7 +229,6 @@ def _listed(file: Path, pictures: Sequence[Path], files: Files) -> dict[Path, Pa
 
 
 def _map(distance: str | Path | None, path: Path, name: str, files: Files) -> Path | None:
-    """File of the distances of a picture, by `distance` of `find_items`."""
     if distance is None or Path(distance).is_file():
         return None if distance is None else Path(distance)
     pattern = str(distance)

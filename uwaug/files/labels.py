@@ -20,14 +20,10 @@ if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
+# of an object in its picture: the id of a COCO annotation, a line of a YOLO file or an object of a
+# VOC file counted from 1, a value of a mask
 Key = int | str
-"""Key of an object in its picture: the id of a COCO annotation, a line of a YOLO file or an object
-of a VOC file counted from 1, a value of a mask.
-"""
-
-Entry = dict[str, Any]
-"""An object of JSON or YAML."""
-
+Entry = dict[str, Any]  # an object of JSON or YAML
 _SAMPLE_FILES = 16  # files of labels by which a format is recognised
 
 
@@ -41,17 +37,11 @@ class Judged(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """Labels of the pictures of a run. A picture's `name` is its path below the folder of pictures.
+    """Labels of the pictures of a run."""
 
-    Attributes:
-        reads: files or folders of the format, in words.
-        path: file or folder of the labels.
-        of: entry of each picture that has labels, by its name.
-    """
-
-    reads: ClassVar[str]
-    path: Path
-    of: Mapping[str, Any]
+    reads: ClassVar[str]  # files or folders of the format, in words
+    path: Path  # file or folder
+    of: Mapping[str, Any]  # entry of each picture that has labels, by the name of its `Item`
 
     @classmethod
     def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":

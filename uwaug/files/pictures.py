@@ -70,8 +70,7 @@ def open_picture(
     file = _decoded(path, "RGB")
     values, profile = file.values, b""
     if values.dtype not in (np.uint8, np.uint16) and values.dtype.kind != "f":
-        expected = "expected 8 or 16 bits without sign, or floating point"
-        raise ValueError(f"{path}: {expected}, got {values.dtype}")
+        raise ValueError(f"{path}: expected 8 or 16 bits, or floating point, got {values.dtype}")
     if values.ndim == 2 and values.dtype.kind == "f":
         raise ValueError(f"{path}: one channel of floating point is a map, and no picture")
     if values.ndim == 2 or (values.ndim == 3 and values.shape[2] == 2):  # grey, with alpha
@@ -120,8 +119,7 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     if values.ndim == 3 and all(np.array_equal(v, values[..., 0].T, True) for v in values.T):
         values = values[..., 0]
     if values.ndim != 2:
-        cure = "a map in colours is no distance: save it in grey"
-        raise ValueError(f"{path}: expected one channel (H, W), got {values.shape}: {cure}")
+        raise ValueError(f"{path}: expected one channel (H, W), got {values.shape}: make it grey")
     if unit is None:
         white = np.iinfo(values.dtype).max if values.dtype in (np.uint8, np.uint16) else 1
         return torch.from_numpy((values / white).astype(np.float32))[None]
@@ -276,7 +274,6 @@ class _File(NamedTuple):
 
 
 def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> _File:
-    """A file's content, without an opaque alpha."""
     end = _ending(path, ENDINGS if channels == "RGB" else (*MAP_ENDINGS, ".jpg", ".jpeg"))
     require_regular(path)
     try:
@@ -353,8 +350,7 @@ def _of_pillow(path: Path) -> _File:
         turn = int(exif.get(ExifTags.Base.Orientation, 1))
         interop = exif.get_ifd(ExifTags.IFD.Interop)
         if interop.get(ExifTags.Interop.InteropIndex) == "R03" and not profile:
-            got = "says in its EXIF that it is in Adobe RGB, without a profile"
-            raise ValueError(f"{got}: convert it first, or add the profile")
+            raise ValueError("is in Adobe RGB, without a profile: convert it first, or add one")
         return _File(_upright(values, turn), turn, profile)
 
 

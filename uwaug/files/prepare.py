@@ -86,12 +86,10 @@ def references_of(paths: Sequence[Path]) -> list[Path]:
 
 
 class _Sample(NamedTuple):
-    """A picture (3xHxW), its map (1xHxW), and the reason for which that is refused, or ""."""
-
     item: Item
-    image: Tensor
-    z: Tensor | None
-    reason: str
+    image: Tensor  # 3xHxW
+    z: Tensor | None  # map, 1xHxW
+    reason: str  # for which it is refused
 
 
 def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:

@@ -44,9 +44,6 @@ class Recipe:
         quality: quality of JPEG, 1…100.
         background: colour behind transparent pictures, see `read_picture`.
         maps: format of maps of the truth (see `uwaug.transforms.truth.Truth`), "npy" or "exr".
-
-    Raises:
-        TypeError, ValueError: if a value does not suit.
     """
 
     transform: RandomUnderwater

@@ -25,15 +25,14 @@ from uwaug.files.sheet import drawn_sheet
 from uwaug.files.summary import Result, Summary
 from uwaug.transforms.random_water import Reached
 
-Progress = Callable[[int, int], None]
-"""Function of the numbers of finished and of all pictures, called first and after each picture."""
+Progress = Callable[[int, int], None]  # of the numbers of finished and of all pictures
 
 
 class Job(NamedTuple):
-    """A picture of a run; `place` is the path of its result below the folder of the run."""
+    """A picture of a run."""
 
     item: Item
-    place: str
+    place: str  # path of its result below the folder of the run
     variant: int = 0
     labels: Labels | None = None
     frame: Frame | None = None
@@ -41,10 +40,7 @@ class Job(NamedTuple):
 
 class Work:
     """The work of a run on a picture, in any process. A failure is a result, too: nothing raises.
-
-    Args:
-        out: folder of the run.
-        made_with: what all results follow from, as records and the manifest have it.
+    `made_with` is what all results follow from, as records and the manifest have it.
     """
 
     def __init__(self, out: Path, made_with: Mapping[str, Any]) -> None:

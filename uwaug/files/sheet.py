@@ -24,13 +24,8 @@ def drawn_sheet(
     beside: Sequence[Path] = (),
 ) -> bytes:
     """A JPEG of pictures, each with its variants to the right, names and captions above; then of
-    photographs for comparison.
-
-    Args:
-        variants: the file of each picture, with the files of its variants.
-        read: function that gives the picture (3xHxW) of a variant's file.
-        caption: function that gives its caption, two lines at most.
-        beside: files of the photographs, of which some are drawn.
+    photographs to compare. `read` and `caption` give the picture (3xHxW) and the caption of a
+    variant's file.
     """
 
     def before(file: Path, words: str = "") -> Cell:

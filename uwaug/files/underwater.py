@@ -64,8 +64,7 @@ def degrade(
         progress: function of the numbers of finished and of all pictures.
 
     Raises:
-        ValueError: if an option or labels do not suit, two pictures would be one file, or a file
-            would be written over that is read.
+        ValueError: if options or labels do not suit, or files would be one, or written over.
         FileExistsError: if `out` holds anything but a run to `resume` or to redo by `force`, or
             another run is at work there.
         OSError: if `out` cannot be written.
@@ -75,8 +74,7 @@ def degrade(
     if cure_of(out.suffix) and not out.is_dir():
         raise ValueError(f"{out}: pictures are written as {', '.join(ENDINGS)}")
     if single and (len(items) * recipe.variants != 1 or recipe.labels or recipe.maps or sheet):
-        cure = "more pictures, labels, maps and sheets need a folder"
-        raise ValueError(f"{out} is a file, which is for one picture: {cure}")
+        raise ValueError(f"{out} is a file, which is for one picture and nothing else")
     if recipe.labels is not None:
         labels = open_labels(recipe.labels, items)
         masks = {entry for entry in labels.of.values() if isinstance(entry, Path)}
@@ -151,7 +149,8 @@ def replay(
     record_versions = {name: entries[name] for name in versions()}
     if record_versions != versions():
         got = " and ".join(f"{name} {version}" for name, version in record_versions.items())
-        warnings.warn(f"{record} was written by {got}: last bits may differ", stacklevel=2)
+        cure = "defaults and last bits may differ"
+        warnings.warn(f"{record} was written by {got}: {cure}", stacklevel=2)
     recipe = codec.from_plain(entries["recipe"], Recipe)
     files = []
     for source, new_path in ((entries["picture"], picture), (entries["distance"], distance)):
@@ -171,7 +170,6 @@ def replay(
 
 
 def _labels_note(labels: Labels, items: Sequence[Item]) -> str:
-    """The sentence on the format of labels, and on the pictures that have some."""
     unlabelled = [item.name for item in items if item.name not in labels.of]
     rest = f", not to {unlabelled[0]}" if unlabelled else ""
     count = len(items) - len(unlabelled)
@@ -273,7 +271,6 @@ def _questions(
     z: Tensor | None,
     labels: Labels | None,
 ) -> list[str]:
-    """Keys of `ASKED` that apply to a picture."""
     source, image = transform.distance, picture.image
     may_be_12_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
     may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
@@ -287,15 +284,13 @@ def _questions(
 
 
 def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
-    """Refuse pictures without maps where a recipe needs them, and films with guessed distances."""
     source = recipe.transform.distance
     missing = next((item.name for item in items if item.distance is None), None)
     if missing and source.reads_maps:
         cure = "give --distance: files, metres, or made-up (MadeUp())"
         raise ValueError(f"distance is missing: {missing} has no file of it: {cure}")
     if recipe.sequence and isinstance(source, MadeUp):
-        cure = "give files of distances, or metres, such as 1:5"
-        raise ValueError(f"distance: made up from each frame, a film would flicker: {cure}")
+        raise ValueError("distance made up from each frame would flicker: give files, or metres")
 
 
 def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:

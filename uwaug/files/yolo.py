@@ -70,8 +70,8 @@ class Yolo(Folder):
         counts = {len(numbers) for file in samples if (numbers := _first(file))}
         if len(counts) == 1 and min(counts) > 6:
             got = f"{samples[0]}: objects of {min(counts)} numbers are polygons, or have keypoints"
-            cure = "a data.yaml with kpt_shape: [how many, 2 or 3], or of polygons with names alone"
-            raise ValueError(f"{got}: {self.path} needs {cure}")
+            cure = "say kpt_shape: [how many, 2 or 3], or of polygons nothing but names"
+            raise ValueError(f"{got}: {cure}, in {self.path / 'data.yaml'}")
         return replace(self, description=classes, told=_told(source, classes, lists))
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
@@ -207,7 +207,6 @@ def _told(source: Path | None, classes: Entry, lists: Mapping[Path, list[str]]) 
 
 
 def _first(file: Path) -> list[float]:
-    """Numbers of the first object of a file; none without objects."""
     words = file.read_text(encoding="utf-8-sig").strip().partition("\n")[0].split()
     return [float(word) for word in words]
 
