@@ -31,7 +31,7 @@ class _Hooks:
     _in_pipeline = False
 
     def set_processors(self, processors: dict[str, Any]) -> None:
-        """Note that there is a pipeline: each one of Albumentations calls this."""
+        """Note that there is a pipeline, which calls this."""
         super().set_processors(processors)  # type: ignore[misc]
         self._in_pipeline = True
 

@@ -35,9 +35,6 @@ def write_page(
             names of files, or metres; "unit", m; "holes"; "unsaved": the page must save the files
             first; "guessed": distances are made up; "width" of the picture, px.
         water: the Jerlov type to begin with.
-
-    Raises:
-        OSError: if it cannot be written.
     """
     parts = {
         "style.css": _text("style.css"),

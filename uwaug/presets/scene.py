@@ -18,19 +18,12 @@ _MOTORCYCLE_FOCAL_PX = 994.978
 
 @dataclass(frozen=True)
 class Scene:
-    """Picture with distances.
+    """Picture with distances."""
 
-    Attributes:
-        image (3xHxW tensor): sRGB, 0…1.
-        distance (1xHxW tensor): along the ray, m.
-        view: of the camera.
-        note: changes to the original, for captions.
-    """
-
-    image: Tensor
-    distance: Tensor
+    image: Tensor  # 3xHxW, sRGB, 0…1
+    distance: Tensor  # 1xHxW, along the ray, m
     view: View = WIDE
-    note: str = ""
+    note: str = ""  # changes to the original, for captions
 
 
 def motorcycle() -> Scene:

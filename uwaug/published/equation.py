@@ -108,19 +108,13 @@ def picture(name: str, image: Tensor, z: Tensor, water: AnyWater = "II") -> Tens
 
 
 class BandedWater(NamedTuple):
-    """Spectra of a water and a camera in N bands.
+    """Spectra of a water (1/m) and a camera in N bands."""
 
-    Attributes:
-        a, b, beta, kd (N tensors): absorption, scattering, attenuation of a beam and of daylight,
-            1/m.
-        response (3xN tensor): S of red, green and blue; rows sum to 1.
-    """
-
-    a: Tensor
-    b: Tensor
-    beta: Tensor
-    kd: Tensor
-    response: Tensor
+    a: Tensor  # absorption
+    b: Tensor  # scattering
+    beta: Tensor  # attenuation of a beam
+    kd: Tensor  # attenuation of daylight
+    response: Tensor  # S of red, green and blue, 3xN; rows sum to 1
 
     @staticmethod
     def of(water: AnyWater, camera: AnyCamera, like: Tensor) -> "BandedWater":
@@ -133,11 +127,8 @@ class BandedWater(NamedTuple):
         return BandedWater(*(torch.from_numpy(array.copy()).to(like) for array in arrays))
 
     def integral(self, light: Tensor | float, *legs: tuple[Tensor, Tensor]) -> Tensor:
-        """Camera's signal ∫ S_c·light·e^(−Σ rate·path) dλ (Bx3xHxW; 1x3x1x1 without legs).
-
-        Args:
-            light (N): light of each band.
-            legs: rate (N), 1/m, and path (Bx1xHxW), m, of each leg of its way.
+        """Camera's signal ∫ S_c·light·e^(−Σ rate·path) dλ (Bx3xHxW; 1x3x1x1 without legs), of the
+        light of each band, with rate (N, 1/m) and path (Bx1xHxW, m) of each leg of its way.
         """
         weights = self.response * light
         if not legs:

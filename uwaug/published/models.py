@@ -154,11 +154,10 @@ def ueda_2019(
 
         I_c = J_c·t_c(d + z) + B_c·(t_c(d) − t_c(d + z)),  t_c(x) = ∫S_c·e^(−βx),  B_c random
 
-    Source: T. Ueda, K. Yamada, Y. Tanaka, ICIP 2019, 2115, doi:10.1109/ICIP.2019.8803195.
-    Second-hand: equation and range of the veil are those of an independent implementation
+    Source: T. Ueda, K. Yamada, Y. Tanaka, ICIP 2019, 2115, doi:10.1109/ICIP.2019.8803195; equation
+    and range of the veil from an independent implementation
     (github.com/Jacobs-University/ICIP6-Underwater-Image-Synthesis).
-    Left open: the depth.
-    Ours: 1 m; white daylight; the middle of the veil without a generator.
+    Ours: a depth of 1 m; white daylight; the middle of the veil without a generator.
     """
     w = BandedWater.of(water, camera, z)
     B = between(*veil, generator, z)
@@ -180,10 +179,9 @@ def hou_2020(
 
         I_c = J_c·t_c + B_c·(1 − t_c)
 
-    Source: G. Hou et al., IEEE Access 8 (2020) 122078, doi:10.1109/ACCESS.2020.3006359.
-    Second-hand: from an independent implementation (github.com/vismiroglou/SUID_data_generation),
-    which has a smooth map of transmissions. One number for each channel is from a table of
-    arXiv:2509.15011.
+    Source: G. Hou et al., IEEE Access 8 (2020) 122078, doi:10.1109/ACCESS.2020.3006359, from an
+    independent implementation (github.com/vismiroglou/SUID_data_generation), which has a smooth map
+    of transmissions. One number for each channel is from a table of arXiv:2509.15011.
     Left open: the real picture.
     Ours: a green-blue veil, a transmission of .35 in red, and the others by the source's rule,
     t_c = t_r^(b_c·B_r / (b_r·B_c)) with b = 1.62517 − .00113·λ/nm at 620, 540 and 450 nm.
@@ -222,11 +220,10 @@ def li_2020(
         I_c = A_c·J_c·N_c^z + A_c·(1 − N_c^z),  A_c = 1.5·N_c^d,  d random in 3…5 m
 
     Source: C. Li, S. Anwar, F. Porikli, Pattern Recognition 98 (2020) 107038,
-    doi:10.1016/j.patcog.2019.107038; S. Anwar, C. Li, F. Porikli, arXiv:1807.03528. Second-hand:
-    the authors' script as copied in github.com/evysb/generate_image_underwater. There distances are
-    a map of 0…1 times .5…15 m, drawn for each picture. Another implementation
-    (github.com/deepxzy/underwater-image-synthesis-algorithm) has .805 and .804 for red in I and IA,
-    where .85 and .84 stand here.
+    doi:10.1016/j.patcog.2019.107038; S. Anwar, C. Li, F. Porikli, arXiv:1807.03528; the authors'
+    script as copied in github.com/evysb/generate_image_underwater, where distances are a map of 0…1
+    times .5…15 m. Another implementation (github.com/deepxzy/underwater-image-synthesis-algorithm)
+    has .805 and .804 for red in I and IA.
     Ours: the middle of the depths without a generator.
     """
     N = colour(_row(water, UWCNN), z)
@@ -272,8 +269,8 @@ def liu_2022(
         I_c = J_c·∫S_c·E(z)·e^(−βz) + ∫_0^z ∫S_c·b·E(s)·e^(−βs) ds
         E = 1 (uniform), e^(−K_d·d) (parallel), P·e^(−βr)/r² (artificial)
 
-    Source: Y. Liu et al., Information 13 (2022) 187, doi:10.3390/info13040187. The abstract alone
-    was at hand; veil and lights are from the review in arXiv:2509.15011.
+    Source: Y. Liu et al., Information 13 (2022) 187, doi:10.3390/info13040187; the abstract, and
+    the review in arXiv:2509.15011 for veil and lights.
     Ours: uniform light by default; spectra and a camera; a lamp to all sides of `power` P (of a
     white plate at 1 m), `aside` m from the camera, so that r² = z² + aside².
     """
@@ -307,8 +304,7 @@ def desai_2024(
         I_c = J_c·∫S_c·E·e^(−βz) + ∫S_c·(bE/β)·(1 − e^(−βz)),  E = e^(−K_d·d)
 
     Source: C. Desai et al., ACM Trans. Multimedia Comput. Commun. Appl. 21 (2024),
-    doi:10.1145/3656473. The abstract alone was at hand; the rest is from the review in
-    arXiv:2509.15011. It is the equation of `akkaynak_2018`, at another depth.
+    doi:10.1145/3656473; the abstract, and the review in arXiv:2509.15011.
     Ours: depth, camera, and a grey reflectance in the means.
     """
     return _revised(image, z, water, camera, vertical_depth)
@@ -354,8 +350,8 @@ def ismiroglou_2025(
     light.
     Left open: the size of picture that σ refers to (here a short side of 518 px, as in the paper),
     and the order of weighting and blurring (here blurred first).
-    Ours: the camera, as data of its Nikon D90 are for non-commercial use alone. Water is
-    homogeneous; for its field give z·field.
+    Ours: the camera, as data of its Nikon D90 are for non-commercial use alone. For a medium field
+    give z·field.
     """
     w = BandedWater.of(water, camera, z)
     G, E = w.a + g * w.b, torch.exp(-w.kd * vertical_depth)
@@ -399,8 +395,7 @@ def slurpp_2025(
     ten rows (Jerlov types, one of them with a misprint: 5C, red, 9.09), times a number drawn in
     .01…1. Where all three then exceed .5, their ratio is kept and the largest becomes a number
     drawn in .1….3. The table here has the middle of both draws.
-    Not read: the file of stored veils.
-    Ours: their range, and its middle without a generator.
+    Ours: the range of the veils, whose file was not read, and its middle without a generator.
     """
     beta, B = colour(_row(water, SLURPP), z), between(*veil, generator, z)
     t = torch.exp(-beta * z)

@@ -15,24 +15,16 @@ NOUNS = ("water", "distance", "light", "development")
 
 
 class Draw(NamedTuple):
-    """All that is random about a picture.
+    """All that is random about a picture."""
 
-    Attributes:
-        applied: True if it is degraded at all.
-        water, distance, light, development: the draw of each noun.
-        measured: attributes of `Measured` that one frame of a film settles for all of them.
-        moved: m by which field and snow of a film have drifted to the right.
-        motion: m by which its camera has moved to the right, down and forward.
-    """
-
-    applied: bool
+    applied: bool  # True if it is degraded at all
     water: Drawn
     distance: Drawn
     light: Drawn
     development: Drawn
-    measured: Mapping[str, Any] = {}
-    moved: float = 0.0
-    motion: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    measured: Mapping[str, Any] = {}  # what one frame of a film settles for all of them
+    moved: float = 0.0  # m by which field and snow of a film have drifted to the right
+    motion: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of its camera, m right, down, forward
 
     @property
     def passed(self) -> tuple[float, float, float]:

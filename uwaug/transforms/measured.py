@@ -20,14 +20,12 @@ class Measured(NamedTuple):
     Attributes:
         width: px.
         darkest, brightest: ends of the values, of 0…1.
-        nearest, farthest, median: distances, m; the last two of all but open water, and infinite
-            where there is nothing else.
+        nearest, farthest, median: distances, m; the last two of all but open water, else infinite.
         metered: True if an exposure makes up for the light that is lost above the scene.
         lamps: True if lamps stand at places in metres: then no scene may be scaled.
-        exposure: stops on which a meter has settled, for all frames of a film; None: to be metered.
+        exposure: stops that a meter has settled for all frames of a film; None: to be metered.
         white_balance: factors of red, green and blue, likewise.
-        moved: m by which the water of a film has moved to the right, down and away, as the camera
-            sees it.
+        moved: m by which the water of a film has moved to the right, down and away.
     """
 
     width: int
@@ -44,8 +42,6 @@ class Measured(NamedTuple):
 
     def of_film(self, settled: Mapping[str, Any], moved: tuple[float, float, float]) -> "Measured":
         """The same picture, with what is settled once for all frames of its film."""
-        if not settled and not any(moved):
-            return self
         balance = settled.get("white_balance")  # a list, as JSON holds it
         attributes = {**settled, "white_balance": balance and tuple(balance)}
         return self._replace(**attributes, moved=moved)

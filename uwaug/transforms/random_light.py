@@ -46,13 +46,13 @@ class RandomLight(Noun):
         rigs: "vehicle" (2 to 4 lamps, above and beside), "diver" (1 or 2, on arms) and "strobe" (1
             or 2, at the lens); picked with equal weight.
         daylight: factor of daylight beside the lamps, see `uwaug.Light`.
-        pitch: angle of the camera's axis above the horizon, degrees: water is brighter towards the
-            surface; None: alike in all directions.
+        pitch: angle of the camera's axis above the horizon, degrees; None: light is alike in all
+            directions.
         power: stops by which all lamps together, if they hung at the lens, would make a white plate
             at the median distance, in air, brighter than daylight at the surface does.
         cone: as for `uwaug.Lamp`, degrees.
-        across, down: point at the median distance at which the lamps aim, in shares of that
-            distance, right of the middle and below it; the view ends at .58.
+        across, down: point at which the lamps aim, right of the middle and below it, in shares of
+            the median distance.
         tint: stops by which the lamps' blue is above their red, beside daylight: −1.7 of a halogen
             lamp of 3000 K, .3 of an LED of 6500 K.
 
@@ -122,26 +122,20 @@ class RandomLight(Noun):
         side = draw["aside"]
         aside = math.copysign(_between(rig.aside, abs(side)), side)
         above = _between(rig.above, draw["above"])
-        target = draw["across"] * metres, draw["down"] * metres
-        tint = draw["tint"]
+        across, down = draw["across"] * metres, draw["down"] * metres
+        power = 2 ** draw["power"] * metres**2 / count
+        color = (2 ** (-draw["tint"] / 2), 1.0, 2 ** (draw["tint"] / 2))
         lamps = []
         for right, up in _LAMP_PLACES[:count]:
             x, y = right * aside, -up * above
-            lamps.append(
-                Lamp(
-                    (x, y, 0.0),
-                    power=2 ** draw["power"] * metres**2 / count,
-                    aim=(target[0] - x, target[1] - y, metres),
-                    cone=draw["cone"],
-                    color=(2 ** (-tint / 2), 1.0, 2 ** (tint / 2)),
-                )
-            )
+            aim = (across - x, down - y, metres)
+            lamps.append(Lamp((x, y, 0.0), power=power, aim=aim, cone=draw["cone"], color=color))
         return Light(tuple(lamps), draw["daylight"], pitch=pitch)
 
 
 @dataclass(frozen=True)
 class _Day(Noun):
-    """What is random about daylight without lamps."""
+    """Daylight without lamps."""
 
     pitch: Range | None = number(None, -90.0, 90.0)
 

@@ -74,9 +74,8 @@ class RandomUnderwater(SampleTransform):
 
     Warns:
         UserWarning: once in a process, if next to nothing is left to see in one of its first
-            pictures; and once, if distances are scaled by more than 4 or less than 1/4 for a
-            contrast, contents are more than 50 times those of the water, or the contrast is not
-            reached by a factor of two.
+            pictures; and once, if distances or contents are scaled much for a contrast, or it is
+            not reached.
 
     Examples:
         >>> import torch
@@ -125,15 +124,13 @@ class RandomUnderwater(SampleTransform):
             checks.instance("light", light, RandomLight, "; or a uwaug.Light")
         pitch = light.pitch if isinstance(light, Light) else None
         if isinstance(pitch, Tensor) and pitch.numel() > 1:
-            cure = "RandomLight(pitch=(low, high)) draws one for each"
-            raise ValueError(f"light.pitch must be one number for all pictures: {cure}")
+            raise ValueError("light.pitch must be one number for all pictures; see RandomLight")
         self.development = RandomDevelopment() if development is None else development
         checks.instance("development", self.development, RandomDevelopment)
         self.view = View.of(view)
         checks.within("p", p, 0.0, 1.0)
         self.p = p
-        are_names = isinstance(keys, (tuple, list)) and set(map(type, keys)) == {str}
-        if not (are_names and len(keys) == 2):
+        if not isinstance(keys, (tuple, list)) or [*map(type, keys)] != [str, str]:
             raise TypeError(f"keys must be the names of image and map, got {keys!r:.80}")
         self.keys = keys[0], keys[1]
         light_noun = light if isinstance(light, RandomLight) else Fixed(light)
@@ -222,7 +219,7 @@ class RandomUnderwater(SampleTransform):
         return transform
 
     def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
-        """Draw everything that is random, for a picture or a batch of this shape.
+        """Draw everything that is random, for a picture or a batch.
 
         Args:
             image (3xHxW or Bx3xHxW tensor): only its shape is read; a `Video` draws once.
@@ -254,9 +251,6 @@ class RandomUnderwater(SampleTransform):
 
         Returns:
             The degraded image, like `image`; `image` itself if the record leaves all of it alone.
-
-        Raises:
-            TypeError, ValueError: if an input does not suit.
         """
         return self.scenes(image, distance, params).formed()
 

@@ -77,9 +77,7 @@ def replaced(sample: Any, place: Any, value: Any) -> Any:
 
 
 def uncompiled(function: Callable[P, T]) -> Callable[P, T]:
-    """Keep `torch.compile` out of a function, as `torch.compiler.disable` does: it leaves it as it
-    is, at a break of the graph. Unlike that, import no torch._dynamo (.7 s) where nobody compiles.
-    """
+    """`torch.compiler.disable`, but no import of torch._dynamo (.7 s) where nobody compiles."""
 
     @wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> T:

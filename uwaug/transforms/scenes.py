@@ -28,8 +28,7 @@ from uwaug.transforms.random_water import RandomWater, Reached
 from uwaug.transforms.samples import maps_for, naming, typed
 from uwaug.transforms.truth import Truth, truth_of
 
-_WHOLE_MAPS = Metres()
-"""The source whose maps are used as they come, if they measure like metres without holes."""
+_WHOLE_MAPS = Metres()  # whose maps are used as they come, if they measure like whole metres
 
 _blank = Once(looks=16)
 """The warning that nothing is left to see. What is wrong with all pictures shows in the first."""
@@ -45,23 +44,14 @@ class Scene(NamedTuple):
 
 
 class Scenes(NamedTuple):
-    """Pictures in the water that they have drawn, before an image is formed of them.
+    """Pictures in the water that they have drawn, before an image is formed of them."""
 
-    Attributes:
-        image (3xHxW or Bx3xHxW tensor): the image as it came.
-        pictures (Bx3xHxW tensor): its pictures, as a plain tensor.
-        chosen: indices of the N pictures that are in water.
-        z (Nx1xHxW tensor): effective distances, m: times the medium field.
-        metres (Nx1xHxW tensor): distances without the field, m.
-        scenes: each of the N.
-    """
-
-    image: Tensor
-    pictures: Tensor
-    chosen: Sequence[int] = ()
-    z: Tensor = torch.zeros(0, 1, 1, 1)
-    metres: Tensor = torch.zeros(0, 1, 1, 1)
-    scenes: Sequence[Scene] = ()
+    image: Tensor  # as it came, 3xHxW or Bx3xHxW
+    pictures: Tensor  # of the image, as a plain tensor, Bx3xHxW
+    chosen: Sequence[int] = ()  # indices of the N pictures that are in water
+    z: Tensor = torch.zeros(0, 1, 1, 1)  # m, effective distances: times the medium field, Nx1xHxW
+    metres: Tensor = torch.zeros(0, 1, 1, 1)  # m, distances without the field, Nx1xHxW
+    scenes: Sequence[Scene] = ()  # each of the N
 
     def formed(self) -> Tensor:
         """The image under water, of the class of the original."""
@@ -199,9 +189,7 @@ def _metres_of(
     color_space: ColorSpace,
     view: View,
 ) -> Tensor:
-    """Distances (Nx1xHxW, m) of those pictures (Bx3xHxW) that are degraded. Maps of `Metres()` come
-    as they are; for another source a device may have to wait for each picture.
-    """
+    """Distances (Nx1xHxW, m) of the pictures (Bx3xHxW) to degrade; of `Metres()` as they come."""
     results = []
     for i, (metres, picture, draw) in enumerate(zip(maps, pictures, draws, strict=True)):
         if not draw.applied:
@@ -223,7 +211,7 @@ def _metres_of(
 
 
 def _read_again(source: Source, pictures: Tensor, metres: Tensor, chosen: Sequence[int]) -> Tensor:
-    """Distances (Nx1xHxW, m) as their source reads them, of maps that may hold more than metres."""
+    """Distances (Nx1xHxW, m) as their source reads them, of maps that may have holes."""
     results = []
     for i, row in zip(chosen, metres, strict=True):
         with naming(i, len(pictures)):
@@ -232,9 +220,7 @@ def _read_again(source: Source, pictures: Tensor, metres: Tensor, chosen: Sequen
 
 
 def _warn_if_blank(setting: Setting) -> None:
-    """Warn, once in a process, if next to nothing is left to see at the median distance; the far
-    end of a scene is hidden in many a good draw.
-    """
+    """Warn, once in a process, if next to nothing is left to see at the median distance."""
     median = setting.span[1]
     if not math.isfinite(median) or not _blank.due():
         return
