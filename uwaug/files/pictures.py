@@ -223,7 +223,8 @@ def write_picture(
     Args:
         path: file to write or replace; the end of its name is the format.
         image (3xHxW tensor): uint8 (0…255), written in 8 bits; or floating point (0…1), written in
-            16 bits to PNG and TIFF, as float32 to .npy and .exr. These two hold a map (1xHxW), too.
+            16 bits to PNG and TIFF, as float32 to .npy and .exr,
+            which take maps (1xHxW), too.
         quality: quality of JPEG, 1…100.
         color_space: colour space of the image. An EXR gets linear light.
     """

@@ -74,12 +74,12 @@ class Development:
         gamut: share of gamut compression, 0…1. 0 clips negative channels; 1 squeezes distances from
             grey, (max − c)/max, above .75 to below 1, along the curve of ACES' reference gamut
             compression (Academy, S-2020-001) with power 2.
-        tone: slope of the curve about mid-grey, .25…4: c·k/(p + k) in stops a stop with
-            p = .18^c and k = .82·p/(.18 − p); black, mid-grey and white stay. Light above white
-            goes on along the curve's slope there.
+        tone: exponent c of the curve (1 + k)·x^c/(x^c + k), .25…4, with p = .18^c and
+            k = .82·p/(.18 − p); black, mid-grey and white stay, and its slope at mid-grey is
+            c·k/(p + k). Light above white goes on along the slope there.
         metered: True for a gain of each picture, 1/8…64, below the exposure's stops. It keeps the
             mean luminance of the scene, and the farthest veil at or below white; under a `Light`
-            all but the brightest 5 % of the pixels. None meters if exposure is "auto".
+            all but the brightest 5 % of the pixels. None: only if exposure is "auto".
         noise: the sensor, see `uwaug.Sensor`; None for light without noise.
 
     Numbers may be tensors (B), as those of `stack`.

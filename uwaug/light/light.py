@@ -51,10 +51,10 @@ class Lamp:
 
     Attributes:
         position: m.
-        power: brightness of a white plate at 1 m in air, ≥ 0; in daylight at the surface it is 1.
+        power: brightness of a white plate at 1 m in air, ≥ 0; 1 is daylight at the surface.
         aim: direction of the axis, of any length.
-        cone: angle from the axis to the edge of the light, which fades over the outer half,
-            degrees, 1…90; None shines to all sides.
+        cone: half-angle, degrees, 1…90; the light fades over its outer half. None shines to all
+            sides.
         color: light in the channels of the picture, each ≥ 0.
 
     Raises:

@@ -2,8 +2,8 @@
 
 A particle at a distance r sends the light of a surface: reflectance·T_β(r), of daylight and of
 lamps, before the camera's gain. That light times the area of its picture is spread over its pixels:
-the more they are, the fainter. A nearer scene hides it. It is added to the veil, as particles are
-translucent.
+the more pixels, the fainter each. A nearer scene hides it. It is added to the veil, as particles
+are translucent.
 """
 
 import math

@@ -134,7 +134,7 @@ def like(
         reference: photographs taken under water, one or several (3xHxW, a batch, a list or an
             iterator), in sRGB even where `augment` takes linear light. `keep` draws are kept of
             each, so that each picture looks like one of them, picked at random.
-        pictures: some of your own, taken in air, as many-sided as your data set (the same). Four to
+        pictures: some of your own, taken in air, as varied as your data set (the same). Four to
             eight will do.
         distance: their maps (1xHxW, the same), as `augment` reads them; None where it reads none.
         augment: from which to draw; by default `RandomUnderwater()`, or without maps

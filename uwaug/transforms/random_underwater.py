@@ -256,8 +256,9 @@ class RandomUnderwater(SampleTransform):
 
     @uncompiled
     def for_clip(self, params: Record, image: Tensor, distance: Tensor | None) -> Record:
-        """Make the record of one picture one for all frames of a film: median distance, exposure
-        and white balance are those of one frame. They may then come in any order, on any worker.
+        """Turn the record of one picture into that of a film, with a sample for each frame. Median
+        distance, exposure and white balance are those of one frame, so that frames may come in any
+        order, on any worker.
 
         Args:
             params: from `make_params`, of one picture.

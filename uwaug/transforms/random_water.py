@@ -127,10 +127,10 @@ class RandomWater(Noun):
             allows; a scene whose median lies below 1 m or above 8 m is scaled to that first.
             "distance" scales the scene, to a median between .1 and 100 m, and leaves the water as
             it is. Under a `uwaug.Light` no scene is scaled, as lamps stand in metres. None: by
-            distance where all waters of a picture are names, else, and under lamps where nobody
-            named a water, by contents.
-        mixing: share of a second water, picked like the first. Contents of both are drawn at the
-            same shares of their ranges.
+            distance where all waters of a picture are names; else by contents, and also under lamps
+            where `waters` is None.
+        mixing: share of a second water, picked like the first. Both draw their contents at
+            the same shares of their ranges.
         vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/8 of
             the light is left.
         g: share of the scattered light that leaves the line of sight, 0…1.
