@@ -72,8 +72,8 @@ def preset_case(name: str, preset: RandomUnderwater) -> Case:
     only = preset.module()
     if only.light is not None:
         raise ValueError(f"{name}: sheets of terms are by daylight, but it has a light of its own")
-    options = {"color_space": only.color_space, "development": only.development}
-    module = Underwater(only.medium, None, **options)
+    space, camera = only.color_space, only.development
+    module = Underwater(only.medium, None, color_space=space, development=camera)
     setting = f"Preset {name}: {only.medium.notes[0]}"
     return Case(f"preset {name}", setting, module, preset.water.field or (1.0, 1.0))
 
@@ -188,10 +188,8 @@ def draw_width_laws(scene: Scene) -> "Figure":
     radius = plot(axes[6], "Half of the scattered light is within", "distance [m]", "radius [px]")
     z = torch.linspace(0.05, 8, 160, dtype=torch.float64)
     columns: list[tuple[str, Tensor]] = [("No water", scene.image)]
-    for axis, label, medium, colour in (
-        (axes[7], "Paper's law", paper, RGB[2]),
-        (axes[8], "Calibrated law", calibrated, RGB[0]),
-    ):
+    laws = (axes[7], "Paper's law", paper, RGB[2]), (axes[8], "Calibrated law", calibrated, RGB[0])
+    for axis, label, medium, colour in laws:
         picture = Underwater(medium, None, view=scene.view)(scene.image, scene.distance)
         columns.append((label, picture))
         light = decoded(scene.image, "srgb")
