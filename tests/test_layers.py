@@ -16,7 +16,8 @@ LAYERS = (
     "fitting onnx",
     "transforms",
     "presets published",
-    "files adapters figures page",
+    "figures",
+    "files adapters page",
     "cli",
 )
 TWINS = {("fast", "formation"), ("formation", "fast")}

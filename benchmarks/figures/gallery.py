@@ -2,17 +2,16 @@
 sheet shows one job. Seeds are fixed; those of `hero` were chosen by eye, all others were not.
 """
 
+import math
 from typing import Any
 
 import torch
-from matplotlib import colormaps
-from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from PIL import Image
 from skimage import data
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from benchmarks.figures.grid import GAP, Grid, save
+from benchmarks.figures.charts import FIGURES
 from benchmarks.figures.knobs import knobs
 from benchmarks.figures.reef import reef
 from benchmarks.harness import command
@@ -26,9 +25,11 @@ from uwaug import (
     RandomUnderwater,
     RandomWater,
     Underwater,
+    View,
     published,
 )
-from uwaug.distance import MadeUp, Metres
+from uwaug.distance import MadeUp, Metres, from_relative
+from uwaug.figures.sheet import Cell, coloured, save, sheet
 from uwaug.optics.scattering import Scattering
 from uwaug.presets.scene import Scene, motorcycle
 
@@ -44,7 +45,9 @@ DEPTHS = (0.0, 5.0, 10.0, 20.0, 30.0)
 HERO = {"reef": 13, "coffee": 22, "chelsea": 5}
 """Seeds, chosen by eye."""
 
-HERO_PX, FRAME_PX = 300, 310
+GREEN, RED = torch.eye(3)[:, 1:2], torch.eye(3)[:, :1]
+
+QUALITY = 70
 
 Pair = tuple[Tensor, Tensor | None]
 """A picture (3xHxW) and its distances, or None where they are guessed."""
@@ -79,113 +82,114 @@ def in_water(pair: Pair, seed: int, **options: Any) -> Tensor:
     return augment.transform(image, distance, record)
 
 
-def shown_distance(metres: Tensor, nearest: float = 0.5, farthest: float = 12.0) -> Tensor:
-    """Distances (1xHxW) in colours (3xHxW); black is open water."""
-    ends = torch.tensor([nearest, farthest]).log()
-    shade = (metres[0].log() - ends[0]) / (ends[1] - ends[0])
-    colours = torch.from_numpy(colormaps["viridis_r"](shade.clamp(0, 1).numpy())[..., :3])
-    colours[metres[0].isinf()] = 0
-    return colours.permute(2, 0, 1)
+def shown_distance(metres: Tensor) -> Tensor:
+    """Distances (1xHxW) of .5 to 12 m in colours (3xHxW); black is open water."""
+    colours = coloured(metres.log(), (math.log(0.5), math.log(12.0)))
+    return colours.masked_fill(metres.isinf(), 0)
 
 
-def hero() -> Figure:
+def hero() -> Image.Image:
     """Three scenes in air, and below in water."""
-    grid = Grid(2, len(HERO), (2, 3), HERO_PX, label=GAP)
-    for column, (name, seed) in enumerate(HERO.items()):
-        pair = scene_of(name, 2 * HERO_PX)
-        grid.show(column, pair[0])
-        grid.show(len(HERO) + column, in_water(pair, seed))
-    return grid.figure
+    pairs = {seed: scene_of(name, 600) for name, seed in HERO.items()}
+    dry = [(image, "") for image, _ in pairs.values()]
+    wet = [(in_water(pair, seed), "") for seed, pair in pairs.items()]
+    return sheet([dry, wet], (300, 200))
 
 
-def default_draws() -> Figure:
+def default_draws() -> Image.Image:
     """Four scenes by six seeds."""
-    names, draws = ("reef", "motorcycle", "coffee", "chelsea"), 6
-    grid = Grid(len(names), draws, (2, 3), 150, label=GAP)
-    for row, name in enumerate(names):
+    rows = []
+    for row, name in enumerate(("reef", "motorcycle", "coffee", "chelsea")):
         pair = scene_of(name, 300)
-        for draw in range(draws):
-            grid.show(row * draws + draw, in_water(pair, 10 * row + draw))
-    return grid.figure
+        rows.append([(in_water(pair, 10 * row + draw), "") for draw in range(6)])
+    return sheet(rows, (150, 100))
 
 
-def detection() -> Figure:
-    """The fish of the reef as water thickens: boxes that stay, and dashed those that go."""
-    contrasts = (0.7, 0.4, 0.2, 0.1, 0.05)
+def detection() -> Image.Image:
+    """The fish of the reef as water thickens: boxes that stay, green, and dashed those that go."""
     image, distance, boxes = reef()
     camera = RandomDevelopment(exposure=-0.5, white_balance=0.3, saturation=1, gamut=1, tone=1)
-    grid = Grid(2, 3, (2, 3), FRAME_PX)
-
-    def show(place: int, picture: Tensor, kept: Tensor, label: str) -> None:
-        axis = grid.show(place, picture, label)
-        for number, (left, top, right, bottom) in enumerate(boxes.tolist()):
-            stays = number in kept
-            style = ("lime", "-") if stays else ("red", ":")
-            corner, size = (left - 4, top - 4), (right - left + 8, bottom - top + 8)
-            frame = Rectangle(corner, *size, fill=False, edgecolor=style[0], linestyle=style[1])
-            axis.add_patch(frame)
-
     numbers = torch.arange(len(boxes))
-    show(0, image, numbers, f"in air: {len(boxes)} fish")
-    for place, contrast in enumerate(contrasts, 1):
+    y, x = torch.meshgrid(*map(torch.arange, image.shape[-2:]), indexing="ij")
+    dashes = (x + y) % 8 < 5
+
+    def framed(picture: Tensor, kept: Tensor) -> Tensor:
+        picture = picture.clone()
+        for number, box in enumerate(boxes.round().int().tolist()):
+            left, top, right, bottom = box[0] - 4, box[1] - 4, box[2] + 4, box[3] + 4
+            frame = torch.zeros(picture.shape[-2:], dtype=torch.bool)
+            frame[max(0, top) : bottom, max(0, left) : right] = True
+            frame[max(0, top + 2) : bottom - 2, max(0, left + 2) : right - 2] = False
+            if number in kept:
+                picture[:, frame] = GREEN
+            else:
+                picture[:, frame & dashes] = RED
+        return picture
+
+    cells = [(framed(image, numbers), f"in air: {len(boxes)} fish")]
+    for contrast in (0.7, 0.4, 0.2, 0.1, 0.05):
         water = RandomWater("3C", contrast=contrast, contrast_by="contents", vertical_depth=3)
         augment = RandomUnderwater(water, light=None, development=camera)
         target = {"boxes": boxes, "labels": numbers}
         torch.manual_seed(0)
         wet, _, target = KeepVisible(augment, min_contrast=0.05)(image, distance, target)
         label = f"contrast {contrast:g} at the median distance: {len(target['labels'])} fish"
-        show(place, wet, target["labels"], label)
-    return grid.figure
+        cells.append((framed(wet, target["labels"]), label))
+    return sheet([cells[:3], cells[3:]])
 
 
-def restoration() -> Figure:
+def restoration() -> Image.Image:
     """Input, target and distances, of three scenes."""
-    names = ("reef", "motorcycle", "coffee")
-    grid = Grid(len(names), 4, (2, 3), 230)
-    for row, name in enumerate(names):
+    rows = []
+    for row, name in enumerate(("reef", "motorcycle", "coffee")):
         image, distance = scene_of(name, 460)
         source = Metres() if distance is not None else MadeUp()
         augment = RandomUnderwater(RandomWater(contrast=(0.2, 0.5)), distance=source, light=None)
         record = augment.make_params(image, torch.Generator().manual_seed(40 + row))
         metres = source.metres(distance, image, record["samples"][0]["distance"])
         left = augment.contrast_left(image, distance, record)
-        shown = (augment.transform(image, distance, record), image)
-        cells = (*shown, shown_distance(metres), left.expand(3, -1, -1))
-        titles = ("input", "target", "distance", "contrast that is left")
-        guessed = ", guessed" if distance is None else ""
-        for column, (cell, title) in enumerate(zip(cells, titles, strict=True)):
-            grid.show(4 * row + column, cell, title + guessed * (title == "distance"))
-    return grid.figure
+        rows.append(
+            [
+                (augment.transform(image, distance, record), "input"),
+                (image, "target"),
+                (
+                    shown_distance(metres),
+                    "distance" if distance is not None else "distance, guessed",
+                ),
+                (left.expand(3, -1, -1), "contrast that is left"),
+            ]
+        )
+    return sheet(rows, (230, 230))
 
 
-def severity() -> Figure:
+def severity() -> Image.Image:
     """Five grades of two scenes."""
-    names = ("reef", "chelsea")
-    grid = Grid(len(names), 6, (2, 3), 155)
-    for row, name in enumerate(names):
+    rows = []
+    for name in ("reef", "chelsea"):
         pair = scene_of(name, 310)
-        grid.show(6 * row, pair[0], "in air")
+        cells = [(pair[0], "in air")]
         for level in range(1, 6):
             water = RandomUnderwater.severity(level).water
-            picture = in_water(pair, 2, water=water, light=None)
-            grid.show(6 * row + level, picture, f"severity {level}" if row == 0 else "")
-    return grid.figure
+            cells.append((in_water(pair, 2, water=water, light=None), f"severity {level}"))
+        rows.append(cells)
+    return sheet(rows, (155, 155))
 
 
-def night() -> Figure:
+def night() -> Image.Image:
     """Lamps on each rig, on two scenes; the other in marine snow."""
-    rigs, names = ("vehicle", "diver", "strobe"), {"reef": None, "motorcycle": MarineSnow(2000)}
-    grid = Grid(len(names), len(rigs), (2, 3), FRAME_PX)
-    for row, (name, snow) in enumerate(names.items()):
-        pair, water = scene_of(name, 2 * FRAME_PX), RandomWater(snow=snow)
-        for column, rig in enumerate(rigs):
+    rows = []
+    for name, snow in {"reef": None, "motorcycle": MarineSnow(2000)}.items():
+        pair, water = scene_of(name, 620), RandomWater(snow=snow)
+        cells = []
+        for column, rig in enumerate(("vehicle", "diver", "strobe")):
             light = RandomLight(share=1.0, rigs=rig)
             label = f"{rig}, marine snow" if snow else rig
-            grid.show(3 * row + column, in_water(pair, 5 + column, water=water, light=light), label)
-    return grid.figure
+            cells.append((in_water(pair, 5 + column, water=water, light=light), label))
+        rows.append(cells)
+    return sheet(rows)
 
 
-def film() -> Figure:
+def film() -> Image.Image:
     """A pan along the reef: six frames in one water, whose field drifts."""
     frames, step = 6, 56  # px of the reef's 720
     image, distance, _ = reef()
@@ -195,88 +199,93 @@ def film() -> Figure:
     record = augment.make_params(image, torch.Generator().manual_seed(4))
     middle = views[frames // 2]
     (sample,) = augment.for_clip(record, image[middle], distance[middle])["samples"]
-    grid = Grid(1, frames, (image.shape[-2], wide), 155)
+    cells = []
     for number, view in enumerate(views):
         moved = {"samples": [{**sample, "moved": 0.1 * number}]}
         wet = augment.transform(image[view], distance[view], moved)
-        grid.show(number, wet, f"{0.1 * number:.1f} m of drift")
-    return grid.figure
+        cells.append((wet, f"{0.1 * number:.1f} m of drift"))
+    return sheet([cells], (155, 155))
 
 
-def systems(scene: Scene) -> Figure:
+def systems(scene: Scene) -> Image.Image:
     """The scene, and each published system in II and in 7C, two systems a row."""
-    names = [name for name in published.systems() if name != OWN]
-    rows = -(-(len(names) + 1) // 2)
-    grid = Grid(rows, 4, (scene.image.shape[-2], scene.image.shape[-1]))
-    grid.show(0, scene.image, "no water")
     own = published.picture(OWN, scene.image, scene.distance)
-    grid.show(1, own, f"{OWN}, its own water")
-    place = 2
-    for name in names:
-        for water, factor in WATERS.items():
-            z = factor * scene.distance
-            picture = published.picture(name, scene.image, z, water)
-            grid.show(place, picture, f"{name}, {water}")
-            place += 1
-    return grid.figure
+    cells = [(scene.image, "no water"), (own, f"{OWN}, its own water")]
+    for name in published.systems():
+        for water, factor in WATERS.items() if name != OWN else ():
+            picture = published.picture(name, scene.image, factor * scene.distance, water)
+            cells.append((picture, f"{name}, {water}"))
+    return sheet([cells[i : i + 4] for i in range(0, len(cells), 4)], (188, 188))
 
 
-def reds(scene: Scene) -> Figure:
+def reds(scene: Scene) -> Image.Image:
     """A red tank at five depths: above, each channel fades by one number; below, surfaces have
     spectra. The camera's exposure is automatic.
     """
     height, width = scene.image.shape[-2:]
     tank = (..., slice(height // 4, 3 * height // 4), slice(3 * width // 8, 7 * width // 8))
     image, distance = scene.image[tank], scene.distance[tank] / 3
-    grid = Grid(2, len(DEPTHS), (image.shape[-2], image.shape[-1]))
-    for column, depth in enumerate(DEPTHS):
-        for row, surfaces in enumerate(("grey", "spectral")):
-            medium = Medium.from_water(
-                "II",
-                vertical_depth=depth,
-                g=Scattering.CALIBRATED.g,
-                surfaces=surfaces,
-            )
-            camera = Development(exposure="auto", gamut=float(surfaces == "spectral"))
-            degrade = Underwater(medium, development=camera)
-            label = f"{depth:g} m, {'spectra' if row else 'one number a channel'}"
-            grid.show(row * len(DEPTHS) + column, degrade(image, distance), label)
-    return grid.figure
+
+    def cell(surfaces: str, depth: float) -> Cell:
+        is_spectral = surfaces == "spectral"
+        scattering = Scattering.CALIBRATED
+        medium = Medium.from_water("II", vertical_depth=depth, g=scattering.g, surfaces=surfaces)
+        camera = Development(exposure="auto", gamut=float(is_spectral))
+        label = f"{depth:g} m, {'spectra' if is_spectral else 'one number a channel'}"
+        return Underwater(medium, development=camera)(image, distance), label
+
+    rows = [[cell(surfaces, depth) for depth in DEPTHS] for surfaces in ("grey", "spectral")]
+    return sheet(rows, (188, 188))
 
 
-def made_up() -> Figure:
+def made_up() -> Image.Image:
     """Four pictures of scikit-image, with two made-up maps and what default draws make of each."""
-    names, draws = ("coffee", "astronaut", "rocket", "chelsea"), 2
     source = MadeUp()
     augment = RandomUnderwater(distance=source)
-    grid = Grid(len(names), 1 + 2 * draws, (2, 3))
-    for row, name in enumerate(names):
-        image, _ = scene_of(name, 2 * grid.wide)
-        grid.show(row * grid.columns, image, name)
-        for draw in range(draws):
-            generator = torch.Generator().manual_seed(draws * row + draw)
-            record = augment.make_params(image, generator)
+    rows = []
+    for row, name in enumerate(("coffee", "astronaut", "rocket", "chelsea")):
+        image, _ = scene_of(name, 376)
+        cells = [(image, name)]
+        for draw in range(2):
+            record = augment.make_params(image, torch.Generator().manual_seed(2 * row + draw))
             numbers = record["samples"][0]["distance"]
-            z = source.metres(None, image, numbers)
-            place = row * grid.columns + 1 + 2 * draw
-            grid.show(place, shown_distance(z), f"{numbers['near']:.1f} to {numbers['far']:.0f} m")
-            grid.show(place + 1, augment.transform(image, None, record))
-    return grid.figure
+            z = shown_distance(source.metres(None, image, numbers))
+            cells.append((z, f"{numbers['near']:.1f} to {numbers['far']:.0f} m"))
+            cells.append((augment.transform(image, None, record), ""))
+        rows.append(cells)
+    return sheet(rows, (188, 188))
 
 
-def main(quick: bool = False) -> dict[str, Figure]:
+def depth_scaling(scene: Scene) -> Image.Image:
+    """The paper's: distances of 0 to 20 m by three exponents, and pictures in types II and 7C."""
+    low, high = scene.distance.aminmax()
+    maps = {}
+    for gamma in (1.0, 3.0, 6.0):
+        z = from_relative((scene.distance - low) / (high - low), 0.0, 20.0, gamma)
+        maps[f"exponent {gamma:g}"] = z
+    rows = [[(coloured(z, (0.0, 20.0)), f"distance, {label}") for label, z in maps.items()]]
+    for name in ("II", "7C"):
+        degrade = Underwater(Medium.from_water(name), None)
+        rows.append([(degrade(scene.image, z), f"{name}, {label}") for label, z in maps.items()])
+    return sheet(rows)
+
+
+def main(quick: bool = False) -> dict[str, Image.Image]:
     """Draw and save."""
     scene = motorcycle()
     if quick:
-        scene = Scene(scene.image[:, ::8, ::8], scene.distance[:, ::8, ::8], 125.0)
-    figures = {"systems": systems(scene), "reds": reds(scene), "made-up": made_up()}
+        scene = Scene(scene.image[:, ::8, ::8], scene.distance[:, ::8, ::8], View(focal_px=125.0))
+    sheets = {job.__name__: job(scene) for job in (systems, reds, depth_scaling)}
+    sheets["made_up"] = made_up()
     if not quick:
         jobs = (hero, default_draws, detection, restoration, severity, night, film)
-        figures |= {job.__name__.replace("_", "-"): job() for job in jobs}
-        figures["knobs"] = knobs(*scene_of("reef", 370))
-        for name, figure in figures.items():
-            print(save(figure, name))
-    return figures
+        sheets |= {job.__name__: job() for job in jobs}
+        sheets["knobs"] = knobs(*scene_of("reef", 370))
+        for name, drawn in sheets.items():
+            path = FIGURES / f"{name.replace('_', '-')}.jpg"
+            save(drawn, path, QUALITY)
+            print(path)
+    return sheets
 
 
 if __name__ == "__main__":

@@ -6,10 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-from matplotlib.figure import Figure
+from PIL import Image
 from torch import Tensor
 
-from benchmarks.figures.grid import Grid
 from uwaug import (
     PointSpread,
     RandomDevelopment,
@@ -19,6 +18,7 @@ from uwaug import (
     Sensor,
 )
 from uwaug.distance import MadeUp
+from uwaug.figures.sheet import sheet
 
 STEPS = 5
 WATER = "3C"
@@ -99,15 +99,15 @@ def at(name: str, value: Any, image: Tensor, distance: Tensor) -> Tensor:
     return picture
 
 
-def knobs(image: Tensor, distance: Tensor) -> Figure:
+def knobs(image: Tensor, distance: Tensor) -> Image.Image:
     """A row for each."""
-    rows = values()
-    grid = Grid(len(rows), STEPS, (image.shape[-2], image.shape[-1]), 150)
-    for row, (name, five) in enumerate(rows.items()):
-        for column, value in enumerate(five):
-            picture = at(name, value, image, distance)
+    rows = []
+    for name, five in values().items():
+        cells = []
+        for value in five:
             shown = f"{value:.3g}" if isinstance(value, float) else str(value)
             shown = {"field": "1 ± ", "point_spread": "× "}.get(name, "") + shown
-            label = f"{name} = {shown}" if column == 0 else shown
-            grid.show(row * STEPS + column, picture, label)
-    return grid.figure
+            label = shown if cells else f"{name} = {shown}"
+            cells.append((at(name, value, image, distance), label))
+        rows.append(cells)
+    return sheet(rows, (150, 150))

@@ -88,7 +88,6 @@ def test_what_cannot_be_written(value: Any) -> None:
         ({"metered": "perhaps"}, (RandomDevelopment,), "metered must be true or false, got 'per"),
         ({"metered": 0}, (RandomDevelopment,), "metered must be true or false, got 0"),
         ({"noise": {"seed": 1, "full_well": True}}, (RandomDevelopment,), "full_well must be"),
-        ({"bgr": "blue"}, (Network,), "bgr must be true or false"),
         ({"multiple": 2.5}, (Network,), "multiple must be a whole number, got 2.5"),
         ({"p": True}, (RandomUnderwater,), "p must be a number, got True"),
         (

@@ -122,7 +122,7 @@ class TestAlongRay:
 ONE = torch.ones(1, 1)
 HALF = 0.5 * ONE
 SAYS_NOTHING = torch.arange(60.0).reshape(3, 1, 4, 5).index_fill(0, torch.tensor(1), 7.0)
-ENDS = "near and far must satisfy 0 <= near <= far < inf, got near="
+ENDS = "near and far must be 0 <= near <= far < inf, got"
 REFUSED = [
     (from_relative, (1.5 * ONE, 1.0, 2.0), r"t must lie in \[0, 1\], got 1.5 to 1.5: normalise"),
     (from_relative, (torch.tensor([[-0.1, NAN]]), 1.0, 2.0), "got -0.1 to -0.1"),
@@ -134,10 +134,10 @@ REFUSED = [
     (from_relative, (HALF, 1.0, 2.0, NAN), "gamma must be positive and finite, got nan"),
     (from_inverse, (SAYS_NOTHING, 1.0, 2.0), "got map 1 of 3, counted from 0, that is const.*crop"),
     (from_inverse, (NAN * ONE, 1.0, 2.0), "inverse must vary within each map"),
-    (from_inverse, (torch.eye(2), 0.0, 2.0), "must satisfy 0 < near <= far"),
-    (from_inverse, (torch.eye(2), 2.0, 1.0), "must satisfy 0 < near <= far"),
-    (from_inverse, (torch.eye(2), INF, INF), "must satisfy 0 < near <= far"),
-    (from_inverse, (torch.eye(2), NAN, 1.0), "must satisfy 0 < near <= far"),
+    (from_inverse, (torch.eye(2), 0.0, 2.0), "must be 0 < near <= far"),
+    (from_inverse, (torch.eye(2), 2.0, 1.0), "must be 0 < near <= far"),
+    (from_inverse, (torch.eye(2), INF, INF), "must be 0 < near <= far"),
+    (from_inverse, (torch.eye(2), NAN, 1.0), "must be 0 < near <= far"),
     (from_inverse, (torch.ones(2), 1.0, 2.0), r"must have shape \(\.\.\., H, W\), got \(2,\)"),
     (from_disparity, (ONE, 0.0, 1.0), "focal_px must be finite.*, got"),
     (from_disparity, (ONE, 1.0, NAN), "baseline_m must be finite.*, got"),

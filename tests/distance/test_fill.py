@@ -155,7 +155,9 @@ def test_warns_once_where_much_is_guessed(nothing_is_said: None) -> None:
     z[1, :, :2] = 0.0
     fill_unknown(z)  # 20 % is not yet much
     z[1, :, 2] = 0.0
-    with pytest.warns(UserWarning, match="distance is unknown at 30 % of a map's pixels") as said:
+    with pytest.warns(
+        UserWarning, match="distance is unknown at 30 % of a map, and guessed"
+    ) as said:
         fill_unknown(z)
     fill_unknown(z)  # silent: a warning would be an error
     assert len(said) == 1

@@ -117,9 +117,9 @@ class TestNetwork:
         with pytest.raises(FileNotFoundError, match=r"model must be an ONNX file, .*missing"):
             Network(tmp_path / "missing.onnx")
         path = mean_of_channels(tmp_path / "n.onnx")
-        for options in ({"short_side": 0}, {"multiple": 0}):
-            with pytest.raises(ValueError, match="short_side and multiple must be at least 1, got"):
-                Network(path, **options)
+        for name in ("short_side", "multiple"):
+            with pytest.raises(ValueError, match=f"{name} must be finite and ≥ 1, got 0"):
+                Network(path, **{name: 0})
         for shape in ((1, 8, 8, 3), (1, 4, 8, 8), (3, 8, 8)):
             with pytest.raises(
                 ValueError, match=r"must take \(1, 3, h, w\) of floating point, got"

@@ -9,6 +9,7 @@ from torch import Tensor
 from uwaug import RandomUnderwater, RandomWater
 from uwaug.distance import Inverse, Metres, Network, Relative, Source, along_ray
 from uwaug.distance.sizes import brought_to, same_aspect
+from uwaug.optics.view import WIDE
 
 H, W = 96, 132
 
@@ -101,7 +102,7 @@ def test_a_small_map_gives_nearly_the_scene_of_a_whole_one(
     away = (near / far).log().abs()
     assert away.median() < 0.01
     assert (away < 0.05).double().mean() > 0.9
-    planar = along_ray(scene(), 0.866 * W) if source == Metres(planar=True) else scene()
+    planar = along_ray(scene(), WIDE.focal(W)) if source == Metres(planar=True) else scene()
     assert torch.allclose(far[0], planar, rtol=1e-3)
 
 

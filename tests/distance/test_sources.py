@@ -76,10 +76,10 @@ def test_relative_distance_0_is_no_hole() -> None:
 
 
 REFUSED: list[tuple[Any, Any, str]] = [
-    (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: give holes="),
+    (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: holes="),
     (Metres(), 2000 * (T + 1), "metres.*millimetres"),
     (Metres(planar=True), T + 1, "focal_px must be finite and > 0 px, got 0.0"),
-    (Metres("fill"), 0 * T, "at least one known pixel"),
+    (Metres("fill"), 0 * T, "have a known pixel"),
     (Relative(), T + 1, r"t must lie in \[0, 1\]"),
     (Inverse(), 0 * T, "inverse must vary"),
     (Network(lambda image: T[..., 1:]), None, r"map is \(2, 3\) but image is \(2, 4\)"),

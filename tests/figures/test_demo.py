@@ -1,55 +1,79 @@
 from dataclasses import replace
-from functools import partial
 
-import numpy as np
 import pytest
 import torch
-from texts import require_room
 
-from uwaug import Lamp, Light, Water, load_preset, published
+from uwaug import (
+    Lamp,
+    Light,
+    Medium,
+    PointSpread,
+    Underwater,
+    Water,
+    load_preset,
+    published,
+)
 from uwaug.figures import comparison, demo
 from uwaug.figures.demo import preset_case, water_case
+from uwaug.formation.colour import decoded
 from uwaug.presets.scene import Scene
 
 
-@pytest.mark.parametrize("name", demo.PICTURES)
-def test_no_text_overlaps_or_leaves_the_picture(small, name, monkeypatch):
-    assert require_room(lambda: demo.PICTURES[name](small), monkeypatch) > 10
+@pytest.fixture
+def shown(monkeypatch):
+    """What stands on the sheets that are drawn, by the first word above it."""
+    cells, draw = {}, demo.sheet_of
+
+    def remembered(scene, drawn, heading, caption):
+        cells.update({words.split()[0]: (picture, words) for picture, words in drawn})
+        cells["caption"] = caption
+        return draw(scene, drawn, heading, caption)
+
+    monkeypatch.setattr(demo, "sheet_of", remembered)
+    monkeypatch.setattr(comparison, "sheet_of", remembered)
+    return cells
 
 
-@pytest.mark.parametrize("name", ["1-waters.jpg", "2-terms.jpg"])
 @pytest.mark.parametrize(
-    ("shape", "nearest", "farthest", "rest"),
+    ("shape", "ends", "rest", "words"),
     [
-        ((40, 30), 0.31, 0.38, 0.38),  # a portrait of what is near
-        ((6, 60), 12.0, 170.0, torch.inf),  # a panorama
-        ((60, 6), 2.0, 2.0, 2.0),
+        ((40, 30), (0.31, 0.38), 0.38, "0.31 m (yellow) to 0.38 m (violet)"),
+        ((6, 60), (12.0, 170.0), torch.inf, "12 m (yellow) to 170 m, open water (violet)"),
+        ((60, 6), (2.0, 2.0), 2.0, "2 m (yellow) to 2 m (violet)"),
     ],
 )
-def test_nor_in_scenes_of_other_shapes_and_distances(
-    name, shape, nearest, farthest, rest, monkeypatch
-):
-    z = torch.linspace(nearest, farthest, shape[0] * shape[1]).reshape(1, *shape)
-    z[0, 0] = rest
-    note = "Drawn at 1000×500 of 20000×10000 px. 0.0017 % of the distances were unknown."
-    scene = Scene(torch.rand(3, *shape), z, None, note)
-    draw = demo.own_pictures(preset_case("tank-proposed-4", load_preset("tank-proposed-4")))[name]
-    assert require_room(lambda: draw(scene), monkeypatch) > 10
+def test_scenes_of_any_shape_and_distance_are_drawn(shown, shape, ends, rest, words):
+    z = torch.linspace(*ends, shape[0] * shape[1]).reshape(1, *shape)
+    z[0, -1, 0] = rest
+    scene = Scene(torch.rand(3, *shape), z, note="Drawn at 1000×500 of 20000×10000 px.")
+    case = preset_case("tank-proposed-4", load_preset("tank-proposed-4"))
+    for drawn in (demo.draw_waters(scene), demo.draw_terms(scene, case)):
+        assert drawn.width < 1400
+        assert shown["z"][1].endswith(words)
 
 
-def test_the_terms_are_those_of_the_picture_beside_them(small, monkeypatch):
-    shown = {}
-    monkeypatch.setattr(demo, "show", lambda _, picture, label: shown.update({label: picture}))
+def test_the_terms_are_those_of_the_picture_beside_them(shown, small):
     for case in (
         preset_case("survey", load_preset("survey")),
         water_case(Water.jerlov("1C"), small),
     ):
         demo.draw_terms(small, case._replace(field_range=(1.0, 1.0)))
-        terms = [shown[name] for name in ("D   direct", "F   forward scatter", "B   backscatter")]
+        direct, forward, backscatter, image = (shown[name][0] for name in "DFBI")
         if case.module.color_space == "linear":
-            torch.testing.assert_close(sum(terms), shown["I   image"], atol=5e-3, rtol=0)
+            total = direct + forward + backscatter
+            torch.testing.assert_close(total, image, atol=5e-3, rtol=0)
         else:  # no term is brighter than all of them
-            assert all((term.clamp(0, 1) <= shown["I   image"] + 0.05).all() for term in terms)
+            for term in (direct, forward, backscatter):
+                assert (term.clamp(0, 1) <= image + 0.05).all()
+
+
+def test_the_terms_are_blurred_by_the_view_of_the_scene(shown, small):
+    case = water_case(Water.jerlov("3C"), small)
+    medium = Medium.from_water("3C", g=0.1, point_spread=PointSpread.calibrated())
+    module = Underwater(medium, None, view=small.view)  # no colour leaves sRGB
+    demo.draw_terms(small, case._replace(module=module))
+    total = sum(decoded(shown[name][0], "srgb") for name in "DFB")
+    torch.testing.assert_close(total.clamp(0, 1), decoded(shown["I"][0], "srgb"), atol=2e-3, rtol=0)
 
 
 def test_a_preset_with_lamps_is_not_shown_by_daylight():
@@ -58,38 +82,21 @@ def test_a_preset_with_lamps_is_not_shown_by_daylight():
         preset_case("night", lit)
 
 
-def test_systems_are_compared_in_one_water(small, monkeypatch):
+def test_systems_are_compared_in_one_water(shown, small):
     systems = ["akkaynak-2018", "hou-2020"]
-    figures = []
-
-    def draw():
-        figures.append(comparison.draw_comparison(small, "7C", systems, stretch=0.2))
-        return figures[0]
-
-    assert require_room(draw, monkeypatch) >= 5
-    caption = figures[0].texts[1].get_text()
-    assert "in brackets the means of red, green and blue, 0…1" in caption
-    assert "uwaug: scene 5 m deep" in caption
-    assert "Distances times 0.2." in caption
-    axes, z = figures[0].axes, 0.2 * small.distance
-    titles = ["no water", "uwaug", *systems]
-    assert [axis.get_title("left").split("  ")[0] for axis in axes[:4]] == titles
+    comparison.draw_comparison(small, "7C", systems, stretch=0.2)
+    assert "in brackets the means of red, green and blue, 0…1" in shown["caption"]
+    assert "uwaug: scene 5 m deep" in shown["caption"]
+    z = 0.2 * small.distance
     own = demo.in_waters([Water.jerlov("7C")], small)(small.image, z)
     theirs = published.akkaynak_2018(small.image, z, "7C")
-    for axis, wanted in ((axes[1], own), (axes[2], theirs)):
-        assert np.abs(axis.images[0].get_array() - wanted.permute(1, 2, 0).numpy()).max() < 1e-5
+    for name, wanted in (("no", small.image), ("uwaug", own), ("akkaynak-2018", theirs)):
+        picture, words = shown[name]
+        assert float((picture - wanted).abs().max()) < 1e-5
+        assert words.endswith("({:.2f} {:.2f} {:.2f})".format(*wanted.mean((1, 2)).tolist()))
+    assert "hou-2020" in shown
 
 
 def test_a_stretch_that_is_no_factor_is_refused(small):
     with pytest.raises(ValueError, match="stretch must be finite and > 0, got 0"):
         comparison.draw_comparison(small, "7C", stretch=0)
-
-
-@pytest.mark.parametrize("shape", [(20, 30), (30, 20), (6, 60)])
-def test_names_of_systems_do_not_run_into_each_other(shape, monkeypatch):
-    scene = Scene(
-        torch.rand(3, *shape), torch.linspace(1, 4, shape[0] * shape[1]).reshape(1, *shape)
-    )
-    systems = ["ismiroglou-reference-2025", "ismiroglou-2025", "slurpp-2025", "mcglamery-1980"]
-    draw = partial(comparison.draw_comparison, scene, "II", systems)
-    assert require_room(draw, monkeypatch) >= 7

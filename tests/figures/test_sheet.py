@@ -1,38 +1,78 @@
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from uwaug.figures import sheet as sheets
-from uwaug.presets.scene import Scene
 
-TEXT = "$\\nothing$.png"
-
-
-@pytest.fixture
-def drawn():
-    scene = Scene(torch.zeros(3, 3, 4), torch.ones(1, 3, 4), note=TEXT)
-    return sheets.sheet(scene, 2, TEXT, TEXT)
+LONG = "a name of many words, " * 40
 
 
-def test_texts_of_users_are_no_mathematics(drawn, tmp_path):
-    figure, axes = drawn
-    sheets.show(axes[0], torch.zeros(3, 3, 4), TEXT)
-    sheets.show_map(axes[1], torch.zeros(1, 3, 4), TEXT, "viridis", (0, 1))
-    sheets.save(figure, tmp_path / "a.png")
-    assert [text.get_text() for text in figure.texts] == [TEXT, f"{TEXT}\n{TEXT}"]
-    assert axes[0].get_title("left") == TEXT
+def ink(drawn, left, top, right, bottom):
+    """Dark pixels within a box."""
+    return int((np.asarray(drawn.convert("L"))[top:bottom, left:right] < 128).sum())
 
 
-def test_a_picture_is_written_whole_or_not_at_all(drawn, tmp_path, monkeypatch):
-    figure, _ = drawn
+def test_pictures_stand_in_rows_below_their_words():
+    red, blue = torch.zeros(2, 3, 10, 20)
+    red[0], blue[2] = 1, 1
+    bytes_of_green = torch.tensor([0, 255, 0], dtype=torch.uint8)[:, None, None].expand(3, 10, 10)
+    rows = [[(red, "red"), (blue, "")], [(bytes_of_green, "two\nlines")]]
+    drawn = sheets.sheet(rows, (100, 50), "Heading", "Caption")
+    pixels = np.asarray(drawn).astype(int)
+    boxes = []
+    for channel in range(3):
+        pure = (pixels == np.eye(3)[channel] * 255).all(2)
+        y, x = pure.nonzero()
+        boxes.append((int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1))
+    (rx, ry, _, rb), (gx, gy, gr, gb), (bx, by, _, _) = boxes
+    assert (rx, ry) == (gx, by) == (bx - 112, ry)
+    assert (gr - gx, gb - gy, rb - ry) == (50, 50, 50)  # as large as its cell lets it be
+    assert ink(drawn, rx, ry - 15, rx + 100, ry) > 20
+    assert ink(drawn, bx, ry - 15, bx + 100, ry) == 0
+    assert ink(drawn, gx, gy - 30, gx + 100, gy - 15) > 20
+    assert drawn.height - gb == drawn.width - bx - 100 == rx  # the same margin on all sides
+
+
+@pytest.mark.parametrize(
+    "words", ["mcglamery-1980 of ten long words, many letters", "$x$ ﬁ 魚.png"]
+)
+def test_words_stay_within_their_cell(words):
+    white = torch.ones(3, 20, 30)
+    drawn = sheets.sheet([[(white, words), (white, "")]], (300, 300), caption=LONG)
+    high = drawn.height - 200 - 12
+    assert ink(drawn, 12, high - 22, 312, high) > 50
+    assert ink(drawn, 312, high - 20, drawn.width, high) == 0
+    assert ink(drawn, drawn.width - 12, 0, drawn.width, drawn.height) == 0
+
+
+def test_letters_that_the_font_lacks_are_replaced():
+    white = torch.ones(3, 20, 30)
+    texts = [f"{c}a" for c in (*sheets._LETTERS, "\uffff")]
+    drawn = [sheets._font(20).getmask(text).getbbox() for text in texts]
+    assert drawn[-1] not in drawn[:-1]
+    shown = [sheets.sheet([[(white, words)]]) for words in ("10×2 é.png", "10x2 ?.png")]
+    assert shown[0] == shown[1]
+
+
+def test_ends_of_a_span_have_the_first_and_the_last_colour():
+    z = torch.tensor([[[0.0, 1.0, 2.0, 3.0, torch.inf]]])
+    picture = sheets.coloured(z, (1.0, 3.0), ("#ff0000", "#0000ff"))
+    wanted = torch.tensor([[1, 1, 0.5, 0, 0], [0] * 5, [0, 0, 0.5, 1, 1]]).double()
+    torch.testing.assert_close(picture[:, 0], wanted)
+
+
+def test_a_sheet_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     path = tmp_path / "2-terms.jpg"
     path.write_text("old")
+    drawn = Image.new("RGB", (8, 8))
 
-    def fail(target, **_):
+    def fail(target, *_, **__):
         target.write_text("half")
         raise OSError("disk full")
 
-    monkeypatch.setattr(figure, "savefig", fail)
+    monkeypatch.setattr(drawn, "save", fail)
     with pytest.raises(OSError, match="disk full"):
-        sheets.save(figure, path)
+        sheets.save(drawn, path)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]

@@ -22,7 +22,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("said", [{"unit": "cm"}, {"holes": "far"}, {"source": {"planar": True}}])
 def test_metres_have_nothing_that_is_of_maps(said: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=r"distance is 80 m for all of a picture: unit, holes"):
+    with pytest.raises(ValueError, match=r"distance is 80 m for all of a picture: leave out unit"):
         distances_of("80", **said)
 
 

@@ -79,11 +79,11 @@ def test_what_is_said_of_films() -> None:
 
     assert said("a/0.png a/1.png") == said("0.png") == ""
     assert said("a/0.png b/0.png").startswith("2 films, each in its own water: ")
-    got = "image_2 and image_3 are taken for cameras of a rig: one water, metered on image_2"
+    got = "image_2 and image_3 are taken for one rig: one water, metered on image_2"
     assert got in said("image_3/0.png image_2/0.png")
     assert "metered on s/b" in said("s/b/0.png s/c/9.png", "b,c")
     left_and_right = [Item(name, Path(name)) for name in ("s/left/0.png", "s/right/0.png")]
-    assert unjoined(left_and_right).startswith("s/left and s/right look like cameras of a rig, ")
+    assert unjoined(left_and_right).startswith("s/left and s/right look like cameras of a rig: ")
     assert unjoined(left_and_right[:1]) == ""
     with pytest.raises(ValueError, match=r"rig \(--rig\): no folder of pictures is called d"):
         said("b/0.png c/0.png", "b,d")

@@ -26,6 +26,7 @@ from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_re
 from uwaug.files.pool import on_processes
 from uwaug.files.record import write_record
 from uwaug.files.underwater import _Underwater
+from uwaug.optics.view import WIDE
 from uwaug.transforms.samples import key_of
 
 H, W = 24, 32
@@ -104,9 +105,13 @@ def test_bytes_depend_on_neither_workers_nor_order_nor_threads() -> None:
     assert len({one[f"{number}.png"] for number in range(4)}) == 4
 
 
-# frames are 3 m away, and have a focal length of .866 of their width
+# frames are 3 m away
+WAY = (36 / WIDE.focal(W), 0.0, 0.0)
+
+
 @pytest.mark.parametrize(
-    "motion, step", [((0.02, 0.0, -0.1), (0.02, 0.0, -0.1)), ("12px", (36 / 0.866 / W, 0.0, 0.0))]
+    "motion, step",
+    [((0.02, 0.0, -0.1), (0.02, 0.0, -0.1)), ("12px", WAY)],
 )
 def test_frames_of_a_folder_share_a_draw(motion, step) -> None:
     for folder in ("one", "other"):
@@ -270,15 +275,13 @@ def test_a_water_file_that_has_changed() -> None:
 def test_a_sheet() -> None:
     degrade(RECIPE, items(), "out", sheet=True)
     with Image.open("out/sheet.jpg") as sheet:
-        assert sheet.size == (3 * 496, 2 * 244)
-        shown = np.asarray(sheet, dtype=float)
-    # the second pair, before and after: each at the corner of its place, with white behind
-    for x, path in ((496, "all/1.png"), (496 + 240, "out/1.png")):
+        cells = np.asarray(sheet, dtype=float)[12:, 12:].reshape(2, 246, 6, 252, 3).swapaxes(1, 2)
+    # the second pair, before and after, and what was drawn above what was made
+    for cell, path in zip(cells[0, 2:4], ("all/1.png", "out/1.png"), strict=True):
         picture = read_picture(path).permute(1, 2, 0).numpy()
-        assert np.abs(shown[:H, x : x + W].mean((0, 1)) - picture.mean((0, 1))).max() < 8
-        assert shown[H + 8 : 170, x : x + W].min() > 240
-    # what was drawn stands below what was made, under the name
-    before, after = (shown[196:210, x : x + 240] for x in (496, 736))
+        assert np.abs(cell[58:230, 4:236].mean((0, 1)) - picture.mean((0, 1))).max() < 8
+        assert cell[:, 244:].mean() > 250
+    before, after = cells[0, 2:4, :36, :240]
     assert before.min() > 240 > 100 > after.min()
     waters = ["7C", {"chlorophyll": 17.82, "cdom": 1.5, "minerals": 0.0}]
     record = read_record(Path("out/1.png.json")) | {

@@ -11,6 +11,7 @@ from uwaug.fitting.jerlov import TypeModel
 from uwaug.fitting.model import CoefficientModel, report_slopes
 from uwaug.fitting.solve import Objective
 from uwaug.optics.camera import load_camera
+from uwaug.optics.view import WIDE
 
 FIXED = {"G_red": 0.2, "veil_green": 0.3, "veil_blue": 0.2, "G_blue": 0.1}
 
@@ -19,7 +20,7 @@ def spectral(known, surfaces="grey"):
     pictures = Pictures.of(*known, "srgb")
     camera, law = load_camera("Nikon 5100 (NPL)"), uwaug.PointSpread.paper()
     water = uwaug.Water.jerlov("3C")
-    model = TypeModel(water, camera, surfaces, 0.2, law, None, pictures.geometry)
+    model = TypeModel(water, camera, surfaces, 0.2, law, WIDE, None, pictures.geometry)
     return Objective(model, pictures.sample(["gaussian"], 600, 0))
 
 

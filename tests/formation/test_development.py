@@ -250,3 +250,12 @@ def test_a_balance_of_two_numbers_is_refused() -> None:
     """The loops would read past their array."""
     with pytest.raises(TypeError, match="white_balance must be three numbers, got"):
         Development(white_balance=(2.0, 1.0))
+
+
+@pytest.mark.parametrize("options", [{"exposure": "auto"}, {"white_balance": 0.5}])
+def test_where_light_underflows_slopes_are_finite(options: dict[str, Any]) -> None:
+    medium = Medium.from_water("3C", vertical_depth=50.0, g=0.0, mu=0.0, surfaces="spectral")
+    image = torch.ones(1, 3, 5, 6, requires_grad=True)
+    z = torch.full((1, 1, 5, 6), 900.0, requires_grad=True)
+    Underwater(medium, None, development=Development(**options))(image, z).sum().backward()
+    assert bool(image.grad.isfinite().all() and z.grad.isfinite().all())

@@ -298,3 +298,42 @@ def test_modules_take_a_light() -> None:
 def test_wrong_lights_are_refused(make: Callable[[], Any], message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         make()
+
+
+# ---- what lamps need are tensors of the medium
+
+
+def test_a_state_holds_what_lamps_need() -> None:
+    image, z = (x.float() for x in scene(1))
+    light = Light((BESIDE,), daylight=0.0)
+    for tolerance in (0.002, 0.0):
+        media = [Medium.from_water(w, tolerance=tolerance) for w in ("3C", "5C", "I")]
+        first, *others = (Underwater(medium, light=light) for medium in media)
+        for other in others:
+            first.load_state_dict(other.state_dict())
+            torch.testing.assert_close(first(image, z), other(image, z), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["spectra", "coefficients"])
+def test_a_gain_acts_under_lamps(kind: str) -> None:
+    image, z = scene(1)
+    medium = MEDIUM if kind == "spectra" else MEDIUM.as_coefficients()
+    light = Light((BESIDE, AROUND), daylight=0.4)
+    before, after = (
+        form_image(image, z, m, light=light)
+        for m in (medium, medium.brightened(torch.tensor([4.0])))
+    )
+    torch.testing.assert_close(after.direct, 4 * before.direct)
+    torch.testing.assert_close(after.backscatter, 4 * before.backscatter)
+
+
+def test_a_stack_keeps_what_lamps_need() -> None:
+    image, z = scene(1)
+    deep = Medium.from_water("1C", vertical_depth=10.0)
+    bare = Medium.from_coefficients((0.5, 0.3, 0.2), (0.4, 0.2, 0.1), (0.1, 0.2, 0.3))
+    bare = replace(bare, law=deep.law)
+    light = Light((BESIDE,), daylight=0.0)
+    both = form_image(image, z, Medium.stack([deep, bare]), light=light)
+    for row, medium in enumerate((deep, bare)):
+        alone = form_image(image, z, medium, light=light).direct
+        torch.testing.assert_close(both.direct[row : row + 1], alone, rtol=1e-9, atol=1e-12)

@@ -312,3 +312,11 @@ def test_a_seed_is_kept_and_a_film_adds_to_its_drift() -> None:
 def test_what_is_refused(make, message) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         make()
+
+
+def test_without_a_seed_each_picture_of_a_batch_has_its_own() -> None:
+    pictures, one_map = torch.zeros(2, 3, *SIZE), far().float()
+    degrade = Underwater(WATER.with_snow(replace(SNOW, seed=None)), None, color_space="linear")
+    for values in (pictures, pictures.double()):  # by the loops, by PyTorch
+        first, second = degrade(values, one_map.to(values))
+        assert (first - second).abs().max() > 1e-3

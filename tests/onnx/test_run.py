@@ -14,7 +14,7 @@ import torch
 from exporting import Pictures, scene, without_graph
 from torch.utils.data import DataLoader
 
-from uwaug import Medium, PointSpread, Underwater
+from uwaug import MarineSnow, Medium, PointSpread, Underwater
 from uwaug.onnx import OnnxUnderwater, check_onnx, read_metadata
 from uwaug.onnx.run import module_of
 
@@ -60,10 +60,13 @@ def test_what_does_not_suit_a_file_is_refused(frozen, waters) -> None:
     run, serve = OnnxUnderwater(frozen[0]), OnnxUnderwater(waters[0])
     absolute = replace(MEDIUM, law=PointSpread(1.0).law)
     spectral = Medium.from_water("7C", surfaces="spectral")
+    wide = replace(MEDIUM, scale=6 * MEDIUM.scale)
     for call, message in (
         (lambda: run(image, distance, MEDIUM), "the file takes none: export with coefficients"),
         (lambda: serve(image, distance), "medium: the file needs one"),
-        (lambda: serve(image, distance, absolute), "but the file is for shape 'gaussian' and ref"),
+        (lambda: serve(image, distance, absolute), r"its law of widths must be Law\(.*, got Law"),
+        (lambda: serve(image, distance, MEDIUM.with_snow(MarineSnow())), "marine snow, which no"),
+        (lambda: serve(image, distance, wide), "its widths lie beyond the plan of the file"),
         (lambda: serve(image, distance, spectral), "the file is for grey surfaces"),
         (lambda: run((255 * image).int(), distance), "image must be a floating-point"),
         (lambda: run(255 * image, distance), "divide a 0…255 image by 255"),

@@ -39,7 +39,7 @@ def test_copies_are_equal_and_still_read_only(clone):
 @pytest.mark.parametrize(
     "changes, message",
     [
-        ({"response": np.ones((3, 4))}, r"one row per wavelength, shape \(3, 3\), got \(3, 4\)"),
+        ({"response": np.ones((3, 4))}, r"shape \(3, 3\), as wavelengths, got \(3, 4\)"),
         (
             {"response": [[1, 1, 1], [np.nan, 1, np.inf], [1, 1, 1]]},
             "2 NaN or infinite of 9 .* at 500 nm",
@@ -129,10 +129,10 @@ def test_csv(tmp_path, text):
 @pytest.mark.parametrize(
     "text, message",
     [
-        (ROWS.replace(",", ":"), "line 1: expected four numbers, wavelength, R, G, B"),
+        (ROWS.replace(",", ":"), "line 1: expected numbers wavelength, R, G, B"),
         ("frequency [THz],R,G,B\n" + ROWS, "wavelength in another unit than nm or µm"),
-        ("wavelength,B,G,R\n" + ROWS, "line 1: expected four numbers, wavelength, R, G, B"),
-        ("user,name,pass-word-of-mine,hunter2\n", "line 1: expected four numbers"),
+        ("wavelength,B,G,R\n" + ROWS, "line 1: expected numbers wavelength, R, G, B"),
+        ("user,name,pass-word-of-mine,hunter2\n", "line 1: expected numbers"),
     ],
 )
 def test_bad_csv(tmp_path, text, message):

@@ -217,7 +217,7 @@ WATERS: list[tuple[Any, dict[str, Any], str]] = [
     ("sea", {}, r"water must be one of I, IA.*got 'sea'"),
     (Water([750, 800], a=[1, 1], b=[1, 1], kd=[1, 1]), {}, "no band of 400–700 nm"),
     ({"a": 1}, {}, r"water must be .* or a uwaug.Water, got \{'a': 1\}; see Water.jerlov"),
-    ("7C", {"g": torch.tensor(0.5)}, "g must be a number, got a tensor; to .* learnable=True"),
+    ("7C", {"g": torch.tensor(0.5)}, r"g must be a number, got a tensor; .*learnable=True"),
 ]
 
 

@@ -184,5 +184,5 @@ def test_media_of_both_kinds_under_a_lamp() -> None:
 
 def test_a_camera_whose_channels_see_the_same_is_refused() -> None:
     same = Camera([400, 700], [[1, 1, 1], [2, 2, 2.001]])
-    with pytest.raises(ValueError, match=r"cannot tell three colours apart: give a camera .*grey"):
+    with pytest.raises(ValueError, match=r"cannot tell three colours apart: cover .*grey"):
         medium_of(camera=same)

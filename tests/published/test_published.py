@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from referees import reference, systems
 from referees.systems import LINEAR, SPECTRAL, Scene
 
 import uwaug
-from uwaug import JERLOV_TYPES, Medium, Underwater, Water, published
+from uwaug import JERLOV_TYPES, Lamp, Medium, Underwater, Water, published
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.published.equation import OTHER_NAMES, BandedWater
 from uwaug.published.models import SLURPP, UWCNN
@@ -242,3 +243,15 @@ def test_a_system_in_a_pipeline():
     with pytest.raises(TypeError, match="li-2020 has no 'camera', only water, vertical_depth"):
         published.augment("li-2020", camera="Nikon 5100 (NPL)")
     assert uwaug.published is published
+
+
+@pytest.mark.parametrize("name", ["mcglamery-1980", "jaffe-1990"])
+def test_lamps_have_a_colour(name):
+    image, z = torch.full((3, 12, 16), 0.5), torch.full((1, 12, 16), 1.5)
+    lamp = Lamp((-0.3, -0.2, 0.0), 3.0, cone=60.0)
+    white, red = (
+        published.system(name)(image, z, lamp=replace(lamp, color=colour))
+        for colour in ((1.0, 1.0, 1.0), (1.0, 0.0, 0.0))
+    )
+    torch.testing.assert_close(red[0], white[0])
+    assert float(red[1:].abs().max()) < 1e-6 < float(white[1:].min())

@@ -11,7 +11,15 @@ from augmenting import flat, same
 from torch import Tensor
 
 import uwaug
-from uwaug import KeepVisible, MarineSnow, RandomLight, RandomUnderwater, RandomWater, Sensor
+from uwaug import (
+    KeepVisible,
+    MarineSnow,
+    RandomLight,
+    RandomUnderwater,
+    RandomWater,
+    Sensor,
+    View,
+)
 from uwaug.distance import MadeUp
 from uwaug.distance.doubts import first_maps
 from uwaug.formation.colour import srgb_to_linear
@@ -241,3 +249,20 @@ def test_kept_daylight_has_no_lamps() -> None:
     (sample,) = augment.make_params(pictures(1))["samples"]
     assert "rig" in sample["light"]
     assert _with_kept(sample, {"light": {"pitch": 3.0}})["light"] == {"pitch": 3.0}
+
+
+def test_small_pictures_are_seen_as_the_whole_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    angles = set()
+    transform = RandomUnderwater.transform
+
+    def looked(self: RandomUnderwater, image: Tensor, *rest: Any) -> Tensor:
+        width = image.shape[-1]
+        angles.add(round(self.view.focal(width) / width, 6))
+        return transform(self, image, *rest)
+
+    monkeypatch.setattr(RandomUnderwater, "transform", looked)
+    augment = RandomUnderwater(view=View(focal_px=277.0))
+    large = torch.nn.functional.interpolate(pictures(2), (8 * H, 8 * W))
+    like = uwaug.like(GREEN, large, maps(2), augment=augment, **FEW)
+    assert angles == {round(277 / (8 * W), 6)}
+    assert like.view == augment.view

@@ -9,9 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _PART = re.compile(r"\.uwaug-[0-9a-f]{16}\.part")
-
-_writing: set[str] = set()
-"""Names of the parts that this process has begun and not ended."""
+_writing: set[str] = set()  # names of the parts that this process has begun and not ended
 
 
 def is_part(name: str) -> bool:
@@ -20,9 +18,7 @@ def is_part(name: str) -> bool:
 
 
 def remove_left(folder: Path) -> None:
-    """Remove the unfinished files that killed processes have left in a folder. Other living
-    processes lose theirs, too: no two runs may write to one folder.
-    """
+    """Remove unfinished files from a folder, also those of other living processes."""
     for path in folder.glob(".uwaug-*.part"):
         if is_part(path.name) and path.name not in _writing:
             with suppress(OSError):
@@ -30,26 +26,19 @@ def remove_left(folder: Path) -> None:
 
 
 def require_regular(path: str | os.PathLike[str]) -> None:
-    """Refuse a path that cannot be read as a file. To open a pipe would wait for a writer.
-
-    Raises:
-        OSError: if there is nothing at `path`, or no regular file.
-    """
+    """Refuse, by an OSError, what is no regular file: to open a pipe would wait for a writer."""
     _refuse_irregular(Path(path), os.stat(path))
 
 
 @contextmanager
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Open a context with a new file beside `path`, which takes the place of `path` at the end.
+    """Open a context with a new file beside `path`, which takes its place at the end.
 
     A symbolic link stays, and its target is replaced. A file that exists keeps its mode. After any
-    exception, also one that a signal raises, the new file is removed. Only a process killed at once
-    leaves it, under a name that `is_part` knows.
+    exception the new file is removed. Only a process killed at once leaves it, see `is_part`.
 
     Raises:
-        OSError: if `path` is no regular file but a folder, a pipe or a device; if its folder is
-            missing or cannot be written to; or, with `path` as the file's name, if it cannot be
-            written.
+        OSError: if `path` is no regular file, or it or its folder cannot be written.
     """
     # the target of a link that points nowhere is made
     target = Path(os.path.realpath(path))
@@ -77,6 +66,13 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all; its folders are made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(path) as part:
+        part.write_bytes(content)
+
+
 def _refuse_irregular(path: Path, status: os.stat_result) -> None:
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(f"path must be a file, but {path} is a folder")
@@ -93,6 +89,6 @@ def _new_part(folder: Path, *, private: bool) -> Path:
         # O_EXCL opens nothing that exists, above all no link
         os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600 if private else 0o666))
     except OSError as error:
-        reason = f"cannot write to the folder {folder}: {error.strerror}"
-        raise type(error)(f"path: {reason}") from error
+        got = f"path: cannot write to the folder {folder}: {error.strerror}"
+        raise type(error)(got) from error
     return part

@@ -9,10 +9,8 @@ Value = TypeVar("Value")
 
 
 class Cache(Generic[Value]):
-    """Values by key: those used last, as many as fit into a budget. Safe with threads.
-
-    Args:
-        budget: bytes. The value put last is kept even if it alone is larger.
+    """Values by key: those used last, as many as fit into a budget of bytes, one at least. Safe
+    with threads.
     """
 
     def __init__(self, budget: int) -> None:

@@ -23,19 +23,10 @@ DOMAIN = {
 }
 """Least and largest value of quantities that several rooms read. Infinity is never allowed."""
 
-_FARTHEST_MEDIAN_M = 1000.0
-"""Largest median of a map in metres. No water lets one see farther than 100 m."""
-
-OPEN = 1e7
-"""Distance (m) from which on a number is open water. Some write 1e9 for infinity; no map in
-millimetres holds so many.
-"""
-
-_LINES_SAMPLED = 16
-"""Approximate number of rows and columns that `too_far` looks at first."""
-
+OPEN = 1e7  # m, from which on is open water: some write 1e9; no map in mm holds so many
+_FARTHEST_MEDIAN_M = 1000.0  # of a map in metres: no water lets one see farther than 100 m
+_LINES_SAMPLED = 16  # rows and columns, about, that `too_far` looks at first
 _REQUIRES_GRAD = attrgetter("requires_grad")
-
 _CONVERT = (
     ". Convert a PIL image with torchvision.transforms.v2.functional.pil_to_tensor, an array with "
     "torch.from_numpy(…), and (H, W, 3) with .permute(2, 0, 1)"
@@ -103,17 +94,15 @@ def tolerance(value: float) -> None:
 def instance(name: str, value: object, kind: type, hint: str = "") -> None:
     """Refuse anything that is no object of a class of the package."""
     if not isinstance(value, kind):
-        got = type(value).__name__
-        raise TypeError(f"{name} must be a uwaug.{kind.__name__}, got {got}{hint}")
+        raise TypeError(f"{name} must be a uwaug.{kind.__name__}, got {type(value).__name__}{hint}")
 
 
 def floating(name: str, value: object, hint: str = "") -> None:
     """Refuse anything but a floating-point tensor; `hint` names the cure."""
     import torch
-    from torch import Tensor
 
-    if not isinstance(value, Tensor) or not value.is_floating_point():
-        got = value.dtype if isinstance(value, Tensor) else type(value).__name__
+    if not isinstance(value, torch.Tensor) or not value.is_floating_point():
+        got = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
         cure = "; scale 0…255 to 0…1 first" if got == torch.uint8 and not hint else hint
         # NumPy's arrays and PIL's images
         cure = _CONVERT if hasattr(value, "__array_interface__") else cure
@@ -131,18 +120,16 @@ def finite(name: str, value: "Tensor") -> tuple[float, float]:
 
 def metres(name: str, value: "Tensor") -> None:
     """Refuse a map whose median lies beyond 1000 m, as it holds millimetres."""
-    median = too_far(value)
-    if median is not None:
+    if (median := too_far(value)) is not None:
         got = f"a map whose median is {median:.4g}"
         raise ValueError(f"{name} must be in metres, got {got}: divide by 1000: millimetres?")
 
 
 def too_far(value: "Tensor") -> float | None:
-    """Return the median (m) of a map if it lies beyond 1000 m, else None.
-
-    Unknown pixels and open water do not count, nor does the largest distance, which may stand for
-    open water. All pixels are read only if one of a few hundred holds such a distance.
+    """Return the median (m) of a map if it lies beyond 1000 m, else None. Unknown pixels and open
+    water do not count, nor does the largest distance, which may stand for open water.
     """
+    # all pixels are read only if one of a few hundred is so far away
     rows, columns = (max(1, side // _LINES_SAMPLED) for side in value.shape[-2:])
     sample = value.detach()[..., ::rows, ::columns]
     if not bool(((sample > _FARTHEST_MEDIAN_M) & (sample < OPEN)).any()):
@@ -160,8 +147,8 @@ def distances(name: str, value: "Tensor") -> tuple[float, float]:
     # the ends are NaN if any value is
     low, high = extent(value)
     if not low >= 0:
-        cure = "fill unknown pixels first, see uwaug.distance.fill_unknown"
         counts = counted(value, "NaN", "negative")
+        cure = "fill unknown pixels first, see uwaug.distance.fill_unknown"
         raise ValueError(f"{name} is {counts}: expected metres ≥ 0 (+inf for open water); {cure}")
     if high > _FARTHEST_MEDIAN_M:
         metres(name, value)
@@ -177,16 +164,15 @@ def picture(name: str, value: "Tensor", channels: int) -> None:
 
 def same_size(name: str, value: "Tensor", image: "Tensor") -> None:
     """Refuse a map of another height or width than the image."""
-    if value.shape[-2:] != image.shape[-2:]:
-        size, other = tuple(value.shape[-2:]), tuple(image.shape[-2:])
+    size, other = tuple(value.shape[-2:]), tuple(image.shape[-2:])
+    if size != other:
         raise ValueError(f"{name} is {size} but image is {other}: height and width must agree")
 
 
 def same_device(name: str, value: "Tensor", image: "Tensor") -> None:
     """Refuse a tensor on another device than the image."""
     if value.device != image.device:
-        devices = f"on {value.device} but image is on {image.device}"
-        raise ValueError(f"{name} is {devices}: move it with .to(…)")
+        raise ValueError(f"{name} is on {value.device} but image is on {image.device}: use .to(…)")
 
 
 def batches(sizes: Mapping[str, int]) -> None:

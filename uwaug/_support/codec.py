@@ -1,8 +1,4 @@
-"""Dataclasses as dictionaries for JSON, YAML and TOML: the codec of presets, records, fits, ONNX
-files, runs and options.
-
-"none" stands for None where a field may be None, as TOML has no word for it.
-"""
+"""Dataclasses as dictionaries for JSON, YAML and TOML, in which "none" stands for None."""
 
 import os
 from collections.abc import Iterable, Mapping
@@ -20,10 +16,8 @@ _KINDS: dict[str, type] = {}
 
 
 def plain(kind: type[T]) -> type[T]:
-    """Let the codec write a dataclass as a dictionary: {"kind": its name, attributes…}.
-
-    Raises:
-        TypeError: if another class has the name.
+    """Let the codec write a dataclass as a dictionary: {"kind": its name, attributes…}. The name
+    must be that of no other.
     """
     taken = _KINDS.get(kind.__name__, kind)
     # a module that is loaded anew replaces its own
@@ -36,10 +30,7 @@ def plain(kind: type[T]) -> type[T]:
 
 def to_plain(value: Any) -> Any:
     """Turn a value into numbers, strings, lists and dictionaries; a dataclass into its kind and the
-    fields that differ from their defaults.
-
-    Raises:
-        TypeError: if the value is, or holds, anything else, such as a function.
+    fields that differ from their defaults. Anything else, such as a function, is refused.
     """
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
@@ -63,16 +54,15 @@ def to_plain(value: Any) -> Any:
 
 
 def from_plain(data: Any, *expected: type) -> Any:
-    """Read what `to_plain` has written; lists become tuples.
+    """Read what `to_plain` has written, or a person in TOML; lists become tuples.
 
     Args:
-        data: from `to_plain`, or as a person writes it in TOML.
+        data: value to read.
         expected: classes that the result may have, with those that derive from them; without any,
             no object is made. Without "kind" it is the first that has all of the attributes.
 
     Raises:
-        TypeError, ValueError: if a class is not expected, a field has another type, or a class
-            refuses what it is given.
+        TypeError, ValueError: if a class or the type of a field is another, or a class refuses it.
     """
     try:
         return _read("", data, expected)
@@ -81,7 +71,6 @@ def from_plain(data: Any, *expected: type) -> Any:
 
 
 def _read(name: str, data: Any, hints: tuple[Any, ...]) -> Any:
-    """Read a value of a field called `name`, which may have these types."""
     if isinstance(data, (list, tuple)):
         return tuple(_read(name, item, hints) for item in data)
     if not isinstance(data, Mapping):
@@ -109,8 +98,8 @@ def _read(name: str, data: Any, hints: tuple[Any, ...]) -> Any:
         raise TypeError(f"{kind.__name__}: {error}") from None
 
 
+# words that people write after `--set`
 _TRUTH = {"true": True, "on": True, "yes": True, "false": False, "off": False, "no": False}
-"""Words for True and False, as people write them after `--set`."""
 
 
 def _scalar(name: str, value: Any, hints: tuple[Any, ...]) -> Any:
@@ -121,10 +110,10 @@ def _scalar(name: str, value: Any, hints: tuple[Any, ...]) -> Any:
     if bool in hints and isinstance(value, str) and value.lower() in _TRUTH:
         return _TRUTH[value.lower()]
     expected = {kind for hint in hints if (kind := _scalar_type(hint))}
-    # a whole number is a number
-    if type(value) in expected or (type(value) is int and float in expected):
+    # where objects alone are expected, the class says what stands for one; an int is a number
+    if not expected or type(value) in expected or (type(value) is int and float in expected):
         return value
-    words = ", ".join(sorted(_IN_WORDS[kind] for kind in expected)) or "a table"
+    words = ", ".join(sorted(_IN_WORDS[kind] for kind in expected))
     raise ValueError(f"{name} must be {words}, got {value!r:.80}")
 
 

@@ -11,8 +11,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 # what may be fused is fused; sums keep their order, NaN and infinity their meaning
 OPTIONS = {"fastmath": {"contract", "nsz"}, "nogil": True, "error_model": "numpy"}
 
-_loops = [False]
-"""One flag: true once the compiled loops are loaded."""
+_loops = [False]  # one flag: true once the compiled loops are loaded
 
 
 def loops_are_loaded() -> None:

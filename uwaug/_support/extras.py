@@ -10,11 +10,7 @@ def install(extra: str) -> str:
 
 
 def require(extra: str, *packages: str) -> list[Any]:
-    """Import optional packages, or tell how to install them.
-
-    Raises:
-        ImportError: if a package is missing; names it and the extra.
-    """
+    """Import optional packages, or tell in an ImportError how to install them."""
     try:
         return [importlib.import_module(name) for name in packages]
     except ImportError as error:

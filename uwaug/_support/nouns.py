@@ -11,20 +11,13 @@ from uwaug._support import checks
 from uwaug._support.codec import changed
 from uwaug._support.ranges import Range, as_range
 
-Drawn = Mapping[str, Any]
-"""Numbers of a noun that a picture has drawn, by name, as JSON holds them."""
-
-SEEDS = 2**32
-"""Seeds are whole numbers from 0 to below this one."""
+Drawn = Mapping[str, Any]  # numbers of a noun that a picture has drawn, by name
+SEEDS = 2**32  # seeds are whole numbers from 0 to below this one
 
 
 class Uniform:
-    """Random numbers of 0…1 by name, for one picture. Each follows from key and name alone: a range
-    that comes or goes changes no other.
-
-    Args:
-        key: the picture's, 8 bytes.
-        noun: prefix of all names.
+    """Random numbers of 0…1 by name, for one picture. Each follows from the picture's key (8 bytes)
+    and the name alone: a range that comes or goes changes no other.
     """
 
     def __init__(self, key: bytes, noun: str = "") -> None:
@@ -51,12 +44,8 @@ class Domain(NamedTuple):
 def number(
     default: Any, least: float = -math.inf, most: float = math.inf, *, logarithmic: bool = False
 ) -> Any:
-    """Declare a field of a noun: a number, or a range (low, high) that each picture draws from.
-
-    Args:
-        default: a number, a range, or None where nothing is drawn.
-        least, most: domain of the number.
-        logarithmic: draw its logarithm uniformly, not the number itself.
+    """Declare a field of a noun: a number, or a range (low, high) that each picture draws from, or
+    None where nothing is drawn. `least` and `most` are the number's domain.
     """
     return field(default=default, metadata={"domain": Domain(least, most, logarithmic)})
 
@@ -71,8 +60,7 @@ class Noun:
 
     def ranges(self) -> dict[str, Range | None]:
         """Return the range of each number that a picture draws, by name; None where nothing is."""
-        names = (f.name for f in fields(self) if "domain" in f.metadata)  # type: ignore[arg-type]
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in self._domains}
 
     def require_ranges(self) -> None:
         """Refuse a range that falls or leaves its domain; turn lists into tuples."""
@@ -106,12 +94,10 @@ class Noun:
 
     def require_fixed(self, name: str) -> None:
         """Refuse ranges, and numbers outside of their domain."""
-        for f in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, f.name)
-            is_tensor = hasattr(value, "detach")
-            if "domain" in f.metadata and not is_tensor:
-                least, most, _ = f.metadata["domain"]
-                checks.within(f"{name}: {f.name}", value, least, most)
+        for inner, (least, most, _) in self._domains.items():
+            value = getattr(self, inner)
+            if not hasattr(value, "detach"):
+                checks.within(f"{name}: {inner}", value, least, most)
 
     def random(self) -> list[str]:
         """List the names of the numbers that differ from picture to picture."""
@@ -125,13 +111,16 @@ class Noun:
         return f"{type(self).__name__}({', '.join(options)})"
 
     @cached_property
+    def _domains(self) -> dict[str, Domain]:
+        return {f.name: f.metadata["domain"] for f in fields(self) if "domain" in f.metadata}  # type: ignore[arg-type]
+
+    @cached_property
     def _ends(self) -> dict[str, tuple[float, float, Domain]]:
         """Low end, high end and domain of each number; refuses a range that leaves its domain."""
-        domains = {f.name: f.metadata["domain"] for f in fields(self) if "domain" in f.metadata}  # type: ignore[arg-type]
         ends = {}
         for name, value in self.ranges().items():
             if value is not None:
-                domain = domains.get(name)
+                domain = self._domains.get(name)
                 low, high = as_range(name, value, *domain[:2] if domain else ())
                 ends[name] = low, high, domain or Domain(low, high)
         return ends
@@ -148,18 +137,15 @@ class Seeded(Noun):
     seed: int | None
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
-        """See `Noun.drawn`."""
         seed = int(uniform("seed") * SEEDS) if self.seed is None else self.seed
         return {**super().drawn(uniform), "seed": seed}
 
     def require(self, drawn: Drawn, name: str) -> None:
-        """See `Noun.require`."""
         require_names(drawn, {*self._ends, "seed"}, name)
         require_seed(f"params: {name}.seed", drawn["seed"])
         super().require({key: value for key, value in drawn.items() if key != "seed"}, name)
 
     def random(self) -> list[str]:
-        """See `Noun.random`."""
         return [*super().random(), *(["seed"] if self.seed is None else [])]
 
     def of(self, drawn: Drawn) -> Self:

@@ -8,11 +8,7 @@ from typing import ClassVar
 
 
 class Once:
-    """Warning that a process gives once, about one of its first pictures.
-
-    Args:
-        looks: number of pictures that are examined.
-    """
+    """Warning that a process gives once, about one of its first pictures, `looks` in all."""
 
     every: ClassVar[list["Once"]] = []
     muted: ClassVar[bool] = False

@@ -11,19 +11,13 @@ from torch import Tensor
 from uwaug._support.atomic import require_regular
 from uwaug._support.extras import require
 
+# sessions of the parent process, kept: to end one here would wait for threads that are there
 _inherited: list[Any] = []
-"""Sessions of the parent process, kept: to end one here would wait for threads that are there."""
 
 
 class Session:
-    """File that ONNX Runtime runs. It opens at first use and is not pickled, so that each worker
-    opens its own.
-
-    Args:
-        path: the ONNX file.
-        threads: 0 lets ONNX Runtime choose; None takes as many as torch has at first use.
-        optimise: let ONNX Runtime rewrite the graph.
-        providers: execution providers.
+    """File that ONNX Runtime runs. It opens at first use, in each process anew. 0 `threads` let
+    ONNX Runtime choose; None takes as many as torch has then.
     """
 
     def __init__(
@@ -46,13 +40,7 @@ class Session:
 
     @property
     def opened(self) -> Any:
-        """Return the `onnxruntime.InferenceSession`.
-
-        Raises:
-            ImportError: if onnxruntime is not installed.
-            OSError: if the file cannot be read.
-            ValueError: if ONNX Runtime cannot load it.
-        """
+        """The `onnxruntime.InferenceSession`; a ValueError if the file cannot be loaded."""
         if self._opened is not None and self._process != os.getpid():
             _inherited.append(self._opened)
             self._opened = None
@@ -80,9 +68,8 @@ class Session:
             return ort.InferenceSession(str(self.path), options, providers=list(self.providers))
         # its exceptions have no common base, and no place in the public interface
         except Exception as error:
-            raise ValueError(
-                f"{self.path}: ONNX Runtime cannot load it: {str(error).splitlines()[0]}"
-            ) from error
+            reason = str(error).splitlines()[0]
+            raise ValueError(f"{self.path}: ONNX Runtime cannot load it: {reason}") from error
 
     def __call__(self, inputs: Mapping[str, Tensor]) -> Tensor:
         """Return the first output for the inputs by name."""

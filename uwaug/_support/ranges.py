@@ -6,17 +6,14 @@ import numpy as np
 
 from uwaug._support import checks
 
-Range = float | tuple[float, float]
-"""Number, or range (low, high)."""
+Range = float | tuple[float, float]  # number, or (low, high)
 
 
 def as_range(
     name: str, value: object, least: float = -math.inf, most: float = math.inf, unit: str = ""
 ) -> tuple[float, float]:
-    """Return a number or a range as (low, high).
-
-    Raises:
-        ValueError: if it is neither, the range falls, or it leaves [least, most] or is infinite.
+    """Return a number or a range as (low, high); refuse anything else, a range that falls, and
+    numbers that are infinite or leave [least, most].
     """
     low = high = math.nan
     if isinstance(value, (int, float, np.number)) and not isinstance(value, bool):
@@ -26,7 +23,7 @@ def as_range(
     if not (least <= low <= high <= most and math.isfinite(low) and math.isfinite(high)):
         domain = f"{checks.bounds(least, most)} {unit}".rstrip()
         expected = f"a number or a range (low, high) with low ≤ high, {domain}"
-        raise ValueError(f"{name} must be {expected}; got {value!r}")
+        raise ValueError(f"{name} must be {expected}, got {value!r}")
     return low, high
 
 

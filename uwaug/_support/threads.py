@@ -9,7 +9,7 @@ import torch
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Run PyTorch, NumPy and SciPy on one thread: the same numbers on any number of cores, and less
-    time. Beside other processes, two threads take 3 to 6 times as long for small matrices.
+    time beside other processes.
     """
     from threadpoolctl import threadpool_limits
 

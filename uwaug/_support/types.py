@@ -7,8 +7,5 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-Shape = Literal["gaussian", "exponential"]
-"""Shapes of a point spread."""
-
-ColorSpace = Literal["srgb", "linear"]
-"""Meanings of a picture's values: sRGB, or linear light."""
+Shape = Literal["gaussian", "exponential"]  # of a point spread
+ColorSpace = Literal["srgb", "linear"]  # of a picture's values

@@ -15,14 +15,12 @@ PERIOD = 16
 are multiples of it.
 """
 
-MARGIN = 2
-"""Cells of a grid beyond either edge, which a cubic spline needs."""
+MARGIN = 2  # cells of a grid beyond either edge, which a cubic spline needs
 
 _POLE = math.sqrt(3.0) - 2.0
 """Pole of the filter that turns samples into cubic B-spline coefficients."""
 
-_SPLINE_REACH = 8
-"""Cells that the filter reaches: |_POLE|^8 = 3e-5, where the Gaussian leaves 1e-2."""
+_SPLINE_REACH = 8  # cells that the filter reaches: |_POLE|^8 = 3e-5, where the Gaussian leaves 1e-2
 
 
 def sampled_parameter(sigma: Array) -> Array:

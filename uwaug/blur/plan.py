@@ -24,8 +24,7 @@ from uwaug.blur.kernels import PERIOD, sampled_parameter
 V_FLOOR = 0.5
 """Offset in v that keeps it finite at σ = 0: px² of a Gaussian, px of an exponential shape."""
 
-_CONTRAST = 0.25
-"""Standard deviation of the picture that errors refer to (0…1)."""
+_CONTRAST = 0.25  # standard deviation of the picture that errors refer to (0…1)
 
 # What other values make of the number of blurs: benchmarks/CHOICES.md, "Plans of the blur".
 # Planned RMSE as a share of the tolerance: .002 gives 60 dB and .0005 72 dB.

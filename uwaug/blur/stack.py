@@ -10,8 +10,7 @@ from uwaug._support import checks
 from uwaug.blur.banded import Banded, Kind, Node, along_columns, along_rows, operator
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line, plan_blur
 
-Chain = tuple[tuple[int, Banded], ...]
-"""Products in the order of use: axis and matrix of each."""
+Chain = tuple[tuple[int, Banded], ...]  # products in the order of use: axis and matrix of each
 
 
 def varying_blur(

@@ -1,8 +1,6 @@
-"""The command line, `uwaug …`. Exit codes: 0 done; 1 failed: a file that cannot be read or written
-or fails its check, a package that is missing; 2 used wrongly.
+"""The command line, `uwaug …`. Exit codes: 0 done; 1 a file or a package failed; 2 used wrongly.
 
-Help, completion and the version load neither torch nor numpy: a command imports what it needs when
-it runs.
+Help, completion and the version load neither torch nor numpy: commands import what they need.
 """
 
 import io

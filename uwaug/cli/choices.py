@@ -1,7 +1,4 @@
-"""Flags of several commands, and how they are read.
-
-The library is not loaded for them, so that help and completion do not wait for it.
-"""
+"""Flags of several commands, and how they are read, without loading the library for help."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -49,8 +46,8 @@ Unit = Annotated[
 Holes = Annotated[
     str,
     typer.Option(
-        help="Distance of pixels that hold 0 or NaN: behind (for depth cameras), fill, far (open "
-        "water), or metres; error refuses them.",
+        help="Of pixels that hold 0 or NaN: behind (depth cameras), fill, far (open water), metres;"
+        " error refuses them.",
         metavar="WORD|METRES",
         autocompletion=complete("error", "fill", "behind", "far"),
     ),
@@ -113,7 +110,8 @@ def read_scene(picture: Path, distance: str, unit: str, holes: str) -> "Scene":
 
     image = read_picture(picture)
     z = read_metres(distance, unit, image)
-    unknown = float((~(z > 0)).double().mean())
     scene = own_scene(image, Metres(number_or_word(holes)).metres(z, image, {}))
-    note = f" {unknown:.2%} of the distances were unknown, and got: {holes}." if unknown else ""
-    return replace(scene, note=(scene.note + note).strip())
+    if unknown := float((~(z > 0)).double().mean()):
+        note = f"{scene.note} {unknown:.2%} of the distances were unknown, and got: {holes}."
+        scene = replace(scene, note=note.strip())
+    return scene

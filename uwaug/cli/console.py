@@ -51,9 +51,7 @@ def require_folder(out: Path) -> None:
 
 
 def require_writable(path: Path, *, force: bool, endings: tuple[str, ...] = ()) -> None:
-    """Refuse, before any work, a file that cannot be written, that exists, or whose name does not
-    end in one of `endings`.
-    """
+    """Refuse, before any work, a file that cannot be written, that exists, or with another end."""
     if endings and path.suffix not in endings:
         end(2, f"--out must end in {' or '.join(endings)}, got {path}")
     if path.is_dir():
@@ -86,7 +84,7 @@ def print_written(*paths: Path) -> None:
 
 @contextmanager
 def status() -> Iterator[Callable[[str], None]]:
-    """Show what the command is doing: in one line on a terminal, elsewhere a line for each step."""
+    """Show the step that the command is at: on a terminal in place of the one before."""
     from rich.console import Console
 
     console = Console(stderr=True)

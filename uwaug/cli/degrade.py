@@ -32,6 +32,8 @@ from uwaug.files.formats import formats
 if TYPE_CHECKING:
     from uwaug.files.summary import Summary
 
+_RUN_OPTIONS = ("drift", "motion", "quality", "background")  # of --set, but not of the transform
+
 
 def degrade(
     context: typer.Context,
@@ -42,9 +44,8 @@ def degrade(
     distance: Annotated[
         str | None,
         typer.Option(
-            help="Distances: a file, a folder, or a pattern such as {stem}_depth.png; or metres, "
-            "as 3 or 1:5; or guessed from each picture: by depth-anything, a network of 99 MB that "
-            "is fetched once, or made-up, the default.",
+            help="File, folder, or pattern such as {stem}_depth.png; or metres, as 3 or 1:5; or "
+            "guessed: by depth-anything, a network of 99 MB, or made-up, the default.",
             metavar="PATH|METRES|depth-anything|made-up",
         ),
     ] = None,
@@ -53,8 +54,8 @@ def degrade(
     water: Annotated[
         list[str] | None,
         typer.Option(
-            help="Jerlov type, contents, also in ranges (chlorophyll=1:20,cdom=.1:1), or CSV "
-            "file; repeat it to draw from several. Many waters by default."
+            help="Jerlov type, contents (chlorophyll=1:20,cdom=.1:1), or CSV file; repeat it to "
+            "draw from several. Many waters by default."
         ),
     ] = None,
     contrast: Annotated[
@@ -62,39 +63,27 @@ def degrade(
         typer.Option(help="Contrast left at median distance, .4 or .1:.8; none: as in nature."),
     ] = None,
     severity: Annotated[
-        str | None,
-        typer.Option(
-            help="Grade of the water, 1 (mild) to 5 (severe), at one contrast for all pictures; "
-            "all: into a folder for each, 1 to 5.",
-            metavar="1…5|all",
-        ),
+        str | None, typer.Option(help="Murk, 1 to 5; all: a folder for each.", metavar="1…5|all")
     ] = None,
     like: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Underwater photographs that pictures shall look like, a file or a folder: of "
-            "many random waters the most similar to each are taken; repeat it for several.",
+            help="Underwater photographs to look like: files and folders, one for each --like."
         ),
     ] = None,
     preset: Preset = None,
     view: ViewAngle = None,
     focal_px: FocalPx = None,
     plain: Annotated[
-        bool,
-        typer.Option(
-            "--plain",
-            help="Nothing random but what you name: even, natural water at the surface, daylight, "
-            "and a camera that changes nothing. Needs --water and --distance.",
-        ),
+        bool, typer.Option("--plain", help="Nothing is random but what you name.")
     ] = False,
     set_: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
-            help="Set any option: water.vertical_depth=0:5, development.saturation=1, light=none; "
-            "for films drift=.004 (m per frame) and motion=[0.02,0,0], of the camera to the right, "
-            "down and forward, or 12px; for JPEG quality=80; for pictures with "
-            "alpha background=white; repeat it for several.",
+            help="Set any option, once or more: water.vertical_depth=0:5, light=none; for films "
+            "drift=.004 and motion=[0.02,0,0], m a frame, or motion=12px; quality=80 of JPEG; "
+            "background=white behind alpha.",
             metavar="NAME=VALUE",
         ),
     ] = None,
@@ -110,8 +99,7 @@ def degrade(
     rig: Annotated[
         str,
         typer.Option(
-            help="Folders that are cameras of one rig and share a film: their names, as left,right;"
-            " auto, by names and times; or none.",
+            help="Folders of one rig's cameras, which share a film; auto: by names and times.",
             metavar="FOLDER,FOLDER|auto|none",
         ),
     ] = "auto",
@@ -122,8 +110,7 @@ def degrade(
     maps: Annotated[
         str | None,
         typer.Option(
-            help="Also write what restores a picture: clean light, distance, transmission, signal "
-            "and veil, float32 in linear light, and coefficients in its record.",
+            help="Also write clean light, distance, transmission, signal and veil (linear).",
             metavar="npy|exr",
         ),
     ] = None,
@@ -141,12 +128,11 @@ def degrade(
         if pictures.suffix == ".json":
             from uwaug.files import replay
 
-            sources = {name: context.get_parameter_source(name) for name in context.params}
-            flags = [
-                f"--{name.rstrip('_').replace('_', '-')}"
-                for name, source in sorted(sources.items())
-                if source and source.name != "DEFAULT" and name not in ("pictures", "out", "force")
-            ]
+            flags = []
+            for name in sorted(context.params.keys() - {"pictures", "out", "force"}):
+                source = context.get_parameter_source(name)
+                if source is not None and source.name != "DEFAULT":
+                    flags.append(f"--{name.rstrip('_').replace('_', '-')}")
             if flags:
                 got = ", ".join(flags)
                 raise ValueError(f"{pictures} is a record, which says all but --out: not {got}")
@@ -169,12 +155,9 @@ def degrade(
         values = _options(preset, plain, options, set_ or (), water or (), contrast)
         if table := view_table(view, focal_px):
             values["view"] = table
-        names = ("drift", "motion", "quality", "background")
-        run_options = [name for name in names if name in values]
-        run_values = {name: values.pop(name) for name in run_options}
-        if {"drift", "motion"} & {*run_options} and not sequence:
-            got = f"--set {run_options[0]} is of films"
-            raise ValueError(f"{got}, whose frames --sequence makes of a folder")
+        run_values = {name: values.pop(name) for name in _RUN_OPTIONS if name in values}
+        if {"drift", "motion"} & {*run_values} and not sequence:
+            raise ValueError(f"--set {next(iter(run_values))} is of films: give --sequence")
         if plain and not (values["water"].get("waters") and (distance or "distance" in values)):
             raise ValueError("--plain draws nothing: give both, one --water and --distance")
         map_values: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
@@ -198,8 +181,7 @@ def degrade(
             **run_values,
         )
         if recipe.transform.water.has_media and (severity or contrast not in (None, "none")):
-            got = "--severity" if severity else "--contrast"
-            raise ValueError(f"{got}: a medium of coefficients stays as it is, without grades")
+            raise ValueError("a medium of coefficients stays as it is, without grades")
         items = find_items(pictures, distances.maps, exclude=[out, labels])
         if formats_left_out := left_out(pictures, distances.maps, exclude=[out, labels]):
             print(f"left out, as such files are not read: {formats_left_out}")
@@ -248,9 +230,9 @@ def _print_summary(summary: "Summary", out: Path, labels: str | None) -> None:
         print(f"{kept} of {count} labels kept")
     for note in summary.notes:
         print(note)
-    if summary.blank:
-        names = f"{len(summary.blank)} of them, such as {summary.blank[0]}"
+    if blank := summary.blank:
         cure = "are distances in another unit? If not, take clearer water by --contrast"
+        names = f"{len(blank)} of them, such as {blank[0]}"
         print(f"next to nothing is left to see of {names}: {cure}")
     if summary.odd:
         print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}")

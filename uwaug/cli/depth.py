@@ -18,8 +18,8 @@ def depth(
     network: Annotated[
         str,
         typer.Option(
-            help="ONNX file of a network that takes one picture; or one of the Hugging Face hub, "
-            "fetched once: owner/name:file, or depth-anything-v2-small, of 99 MB.",
+            help="ONNX file of a network; or one of the Hugging Face hub, fetched once: "
+            "owner/name:file, or depth-anything-v2-small, of 99 MB.",
             metavar="PATH|NAME",
         ),
     ] = "depth-anything-v2-small",
@@ -85,7 +85,6 @@ def depth(
 
 
 def _colour(name: str, text: str) -> tuple[float, ...]:
-    """The three numbers of an option."""
     try:
         red, green, blue = map(float, text.split(","))
     except ValueError:

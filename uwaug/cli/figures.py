@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,8 +19,9 @@ from uwaug.cli.console import (
 )
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from PIL import Image
 
+    from uwaug.figures.demo import Case
     from uwaug.presets.scene import Scene
 
 OutFolder = Annotated[Path, typer.Option(help="Folder to write the pictures to.")]
@@ -28,10 +29,13 @@ OutFolder = Annotated[Path, typer.Option(help="Folder to write the pictures to."
 
 def demo(out: OutFolder = Path("uwaug-demo"), force: Force = False) -> None:
     """Draw a real scene in ten waters, term by term."""
-    from uwaug.figures.demo import PICTURES
+    from uwaug.figures.demo import water_case
+    from uwaug.optics import load_water
     from uwaug.presets import scene
 
-    _draw_into(out, scene.motorcycle(), PICTURES, force)
+    _draw_into(
+        out, scene.motorcycle(), lambda own: water_case(load_water("1C"), own, (0.3, 1.7)), force
+    )
 
 
 def plot(
@@ -45,17 +49,18 @@ def plot(
     force: Force = False,
 ) -> None:
     """Draw your own scene in ten waters, and term by term in one: 1C by default."""
-    from uwaug.figures.demo import own_pictures, preset_case, water_case
+    from uwaug.figures.demo import preset_case, water_case
     from uwaug.optics import load_water
     from uwaug.presets import load_preset
 
+    def case(scene: "Scene") -> "Case":
+        if preset is None:
+            return water_case(load_water(water or "1C"), scene)
+        return preset_case(preset, load_preset(preset, water=water))
+
     with reported_errors():
         scene = read_scene(picture, distance, unit, holes)
-        if preset is None:
-            case = water_case(load_water(water or "1C"), scene)
-        else:
-            case = preset_case(preset, load_preset(preset, water=water))
-    _draw_into(out, scene, own_pictures(case), force)
+    _draw_into(out, scene, case, force)
     if scene.note:
         print(scene.note)
 
@@ -77,34 +82,35 @@ def compare(
 ) -> None:
     """Draw your own scene as uwaug and each published system make it."""
     require_writable(out, force=force, endings=(".png", ".jpg"))
-    from uwaug._support.extras import require
     from uwaug.figures.comparison import draw_comparison
     from uwaug.figures.sheet import save
 
     with reported_errors(), status() as say:
-        require("plot", "matplotlib")
         scene = read_scene(picture, distance, unit, holes)
         say("computing the systems")
         save(draw_comparison(scene, water or "II", system or (), stretch=stretch), out)
     print_written(out)
 
 
-def _draw_into(
-    out: Path, scene: "Scene", pictures: "Mapping[str, Callable[[Scene], Figure]]", force: bool
-) -> None:
+def _draw_into(out: Path, scene: "Scene", case: "Callable[[Scene], Case]", force: bool) -> None:
     from uwaug._support.extras import require
+    from uwaug.figures.demo import draw_terms, draw_waters
     from uwaug.figures.sheet import save
 
+    sheets: dict[Path, Callable[[], Image.Image]] = {
+        out / "1-waters.jpg": lambda: draw_waters(scene),
+        out / "2-terms.jpg": lambda: draw_terms(scene, case(scene)),
+    }
     require_folder(out)
-    names = sorted(set(os.listdir(out)) - set(pictures)) if out.is_dir() else []
+    names = sorted({*os.listdir(out)} - {path.name for path in sheets}) if out.is_dir() else []
     if names and not force:
         end(2, f"{out} holds other files, such as {names[0]}: choose an empty folder, or --force")
     start = time.perf_counter()
     with reported_errors(), status() as say:
         require("plot", "matplotlib")
         out.mkdir(parents=True, exist_ok=True)
-        for name, draw in pictures.items():
-            say(f"drawing {name}")
-            save(draw(scene), out / name)
-    print_written(*(out / name for name in pictures))
-    print(f"{len(pictures)} pictures, {time.perf_counter() - start:.1f} s")
+        for path, draw in sheets.items():
+            say(f"drawing {path.name}")
+            save(draw(), path)
+    print_written(*sheets)
+    print(f"{len(sheets)} pictures, {time.perf_counter() - start:.1f} s")

@@ -25,8 +25,7 @@ def fit(
     clean: Annotated[
         Path | None,
         typer.Option(
-            help="Picture of the scene without water. Without it, the veil alone is estimated, "
-            "from the darkest pixels at each distance."
+            help="Picture of the scene without water. Without it, the veil alone is estimated."
         ),
     ] = None,
     unit: Unit = "m",
@@ -46,8 +45,7 @@ def fit(
     darkest: Annotated[
         float | None,
         typer.Option(
-            help="Without --clean: share of light that the darkest surfaces may reflect, .05 by "
-            "default; 0 if something is black at each distance."
+            help="Without --clean: share of light that the darkest surfaces reflect; else .05."
         ),
     ] = None,
     gain: Annotated[
@@ -84,8 +82,7 @@ def fit(
         if table and model != "waters":
             raise ValueError(f"--view and --focal-px are of --model waters, got --model {model}")
         if clean is None and (model not in ("auto", "veil") or gain == "fixed"):
-            got = f"--model {model} --gain {gain}"
-            raise ValueError(f"{got} needs --clean; without it, the veil alone is estimated")
+            raise ValueError(f"--model {model} --gain {gain} needs --clean")
         if clean is not None and darkest is not None:
             raise ValueError("--darkest is of fits without --clean: leave one of them out")
         wet = read_picture(observed)
@@ -95,7 +92,7 @@ def fit(
         else:
             z = Metres(number_or_word(holes)).metres(z, wet, {})
         if holes == "error" and (unknown := int((~(z > 0)).sum())):
-            cure = "--holes none leaves them out, and far takes them for open water"
+            cure = "--holes none leaves them out, far is open water"
             raise ValueError(f"{distance}: unknown at {unknown} of {z.numel()} pixels: {cure}")
         options: dict[str, Any] = {"color_space": color_space}
         if clean is None:

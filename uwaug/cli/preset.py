@@ -10,8 +10,7 @@ from uwaug.cli.choices import PLACES, WATERS, Preset, complete
 from uwaug.cli.console import reported_errors
 from uwaug.presets.files import list_presets, preset_path
 
-_TABLE_COLUMNS = 250
-"""Width of the printed table in letters: more than any row has."""
+_TABLE_COLUMNS = 250  # more letters than any row has
 
 preset = typer.Typer(help="List presets, or show one.", no_args_is_help=True)
 
@@ -64,9 +63,7 @@ def waters(
     ] = False,
     preset: Preset = "survey",
 ) -> None:
-    """List the waters: in words, visibility, attenuation, doubts. Or their numbers, as JSON, in a
-    preset's camera, depth and light.
-    """
+    """List the waters: visibility, attenuation, doubts. Or, as JSON, their numbers in a preset."""
     if as_json:
         from uwaug.onnx import input_rows
         from uwaug.presets import load_preset

@@ -1,6 +1,4 @@
-"""Distances along the ray (m) from metric depth, disparity, relative or inverse depth, a depth
-network, a plane, or made up.
-"""
+"""Distances along the ray (m): from maps of depth or disparity, a network, a plane, or made up."""
 
 from uwaug.distance.convert import along_ray, from_disparity, from_inverse, from_relative
 from uwaug.distance.doubts import doubts

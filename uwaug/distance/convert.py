@@ -1,8 +1,7 @@
 """Conversions to metres along the ray.
 
-Convention: maps are (..., H, W) tensors, float32 or float64; half precision is taken up to float32.
-NaN is an unknown distance and stays NaN until `fill_unknown`; +inf is open water. The pixel (i, j)
-has its centre at (i + 0.5, j + 0.5).
+Maps are (..., H, W) tensors; half precision becomes float32. NaN is an unknown distance, +inf is
+open water. The pixel (i, j) has its centre at (i + 0.5, j + 0.5).
 """
 
 import torch
@@ -24,12 +23,11 @@ def from_relative(
         gamma: exponent, > 0; a number or such a tensor. Above 1 the middle distance is nearer.
 
     Returns:
-        Distance in metres, shape of `t` (broadcast). Below t = 1e-6, t^gamma is a straight line, so
-        that the gradient is finite at 0 for gamma < 1, too.
+        Metres, shape of `t` (broadcast). Below t = 1e-6, t^gamma is straight: its gradient stays
+        finite.
 
     Raises:
         ValueError: `t` leaves [0, 1], or `near`, `far`, `gamma` are out of range.
-        TypeError: `t` is no floating-point tensor.
 
     Examples:
         >>> from_relative(torch.tensor([[0.0, 0.5, 1.0]]), near=1.0, far=5.0, gamma=2.0)
@@ -37,12 +35,10 @@ def from_relative(
     """
     t = as_maps("t", t)
     if bool(((t < 0) | (t > 1)).any()):
-        cure = "normalise first, (t - t.min()) / (t.max() - t.min())"
-        raise ValueError(f"t must lie in [0, 1], got {checks.span(t)}: {cure}")
+        raise ValueError(f"t must lie in [0, 1], got {checks.span(t)}: normalise it first")
     n, f, power = (torch.as_tensor(number, dtype=torch.float64) for number in (near, far, gamma))
     if not bool(((n >= 0) & (f >= n) & f.isfinite()).all()):
-        got = f"got near={near}, far={far}"
-        raise ValueError(f"near and far must satisfy 0 <= near <= far < inf, {got}")
+        raise ValueError(f"near and far must be 0 <= near <= far < inf, got {near} and {far}")
     if not bool(((power > 0) & power.isfinite()).all()):
         raise ValueError(f"gamma must be positive and finite, got {gamma}")
     safe = t.clamp(min=1e-6)
@@ -52,9 +48,8 @@ def from_relative(
 def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> Tensor:
     """Scale inverse relative depth, as monocular networks give it (near = large), to metres.
 
-    MiDaS, DPT and Depth Anything predict 1/z up to an unknown scale *and* shift, so neither 1/value
-    nor 1 − value is a distance. Each map is normalised by its least and largest value to s in
-    [0, 1], and 1/z = 1/far + (1/near − 1/far)·s.
+    Networks predict 1/z up to an unknown scale *and* shift. Each map is normalised by its least and
+    largest value to s in [0, 1], and 1/z = 1/far + (1/near − 1/far)·s.
 
     Args:
         inverse: (..., H, W), any scale and shift; NaN or infinite = unknown.
@@ -62,14 +57,12 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
             is open water or sky; numbers, or tensors that broadcast against `inverse`.
 
     Returns:
-        Distance in metres, shape of `inverse` (broadcast), NaN where unknown.
+        Metres, shape of `inverse` (broadcast), NaN where unknown.
 
     Raises:
         ValueError: a map is constant or has no finite value, or `near`, `far` are out of range.
-        TypeError: `inverse` is no floating-point tensor.
 
-    Source: Ranftl et al. 2022, Towards robust monocular depth estimation: scale- and
-    shift-invariant losses.
+    Source: Ranftl et al. 2022, Towards robust monocular depth estimation.
 
     Examples:
         >>> from_inverse(torch.tensor([[0.0, 30.0, 90.0]]), near=1.0, far=4.0)
@@ -78,8 +71,7 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
     inverse = as_maps("inverse", inverse)
     n, f = (torch.as_tensor(end, dtype=torch.float64) for end in (near, far))
     if not bool(((n > 0) & (f >= n) & n.isfinite()).all()):
-        got = f"got near={near}, far={far}"
-        raise ValueError(f"near and far must satisfy 0 < near <= far, near finite, {got}")
+        raise ValueError(f"near and far must be 0 < near <= far, near finite, got {near} and {far}")
     finite = inverse.isfinite()
     least = torch.where(finite, inverse, torch.inf).amin((-2, -1), keepdim=True)
     largest = torch.where(finite, inverse, -torch.inf).amax((-2, -1), keepdim=True)
@@ -101,20 +93,13 @@ def from_disparity(
     focal·baseline / (disparity + offset). `along_ray` turns that into distance.
 
     Args:
-        disparity: (..., H, W), pixels. NaN or infinite = unknown. If your files mark unknown pixels
-            with 0 and `offset_px` is not 0, set them to NaN first.
+        disparity: (..., H, W), pixels. NaN or infinite = unknown; so is 0, without an offset.
         focal_px: focal length, pixels.
         baseline_m: distance between the cameras, metres.
-        offset_px: difference of the principal points' columns ("doffs" of the Middlebury data
-            sets), pixels.
+        offset_px: difference of the principal points' columns (Middlebury's "doffs"), pixels.
 
     Returns:
-        Depth in metres, shape of `disparity`; NaN where the disparity is unknown or disparity +
-        offset ≤ 0.
-
-    Raises:
-        ValueError: `focal_px` or `baseline_m` is not positive, or `offset_px` not finite.
-        TypeError: `disparity` is no floating-point tensor.
+        Metres, shape of `disparity`; NaN where that is unknown or disparity + offset ≤ 0.
 
     Examples:
         >>> from_disparity(torch.tensor([[10.0, 20.0, 0.0]]), focal_px=1000.0, baseline_m=0.1)
@@ -136,20 +121,15 @@ def along_ray(
     """Turn depth along the optical axis, as depth maps hold it, into distance along each ray.
 
     Pixel (i, j) looks along ((j + 0.5 − cx)/fx, (i + 0.5 − cy)/fy, 1), so z = depth·√(1 + x² + y²).
-    OpenCV counts from the centre of the first pixel: add 0.5 to its principal point.
 
     Args:
         depth: (..., H, W), metres.
         focal_px: focal length in pixels of this image, or (fx, fy).
-        centre: principal point (cx, cy) in pixels from the image's top left corner; (W/2, H/2) if
-            None.
+        centre: principal point (cx, cy) in pixels from the image's top left corner, .5 more than
+            OpenCV's; (W/2, H/2) if None.
 
     Returns:
-        Distance along the ray in metres, shape of `depth`.
-
-    Raises:
-        ValueError: a focal length is not positive, or `centre` not finite.
-        TypeError: `depth` is no floating-point tensor.
+        Metres, shape of `depth`.
 
     Examples:
         >>> along_ray(torch.full((1, 3), 2.0), focal_px=1.0)

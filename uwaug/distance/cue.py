@@ -1,8 +1,7 @@
 """Guesses of near and far in a picture, by a small network.
 
-Its encoder, the backbone of YOLOX-nano, has learnt from COCO's photographs to find things; it stays
-as its authors trained it (`cue.LICENSE`). Its decoder was trained on rendered scenes alone, by
-`python -m benchmarks.depth.train`.
+Its encoder is the backbone of YOLOX-nano, as its authors trained it on COCO (`cue.LICENSE`). Its
+decoder was trained on rendered scenes alone, by `python -m benchmarks.depth.train`.
 """
 
 import math
@@ -15,23 +14,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d, interpolate, max_pool2d, silu
 
-FILE = Path(__file__).with_name("cue.npz")
-"""Kernels and biases by the names of layers, as float16."""
+FILE = Path(__file__).with_name("cue.npz")  # kernels and biases by the names of layers, float16
+STAGES = {"d2": 1, "d3": 3, "d4": 3, "d5": 1}  # blocks in each stage, at half the size of the last
+POOLED_PX = (5, 9, 13)  # windows of the last stage
+PIXELS = 12288  # of the copy that the network sees
 
-STAGES = {"d2": 1, "d3": 3, "d4": 3, "d5": 1}
-"""Stages of the encoder, each at half the size of the one before, and blocks in them."""
-
-POOLED_PX = (5, 9, 13)
-"""Windows of the last stage."""
-
-PIXELS = 12288
-"""Size of the copy that the network sees."""
-
-Convolve = Callable[[str, Tensor, int], Tensor]
-"""Function (name, input, stride) → output of a layer."""
-
-Weights = dict[str, tuple[Tensor, Tensor]]
-"""Kernel and bias of each layer."""
+Convolve = Callable[[str, Tensor, int], Tensor]  # (name, input, stride) → output of a layer
+Weights = dict[str, tuple[Tensor, Tensor]]  # kernel and bias of each layer
 
 
 def encoded(pictures: Tensor, convolve: Convolve) -> list[Tensor]:
@@ -112,10 +101,8 @@ def layers_of(weights: Weights) -> Convolve:
 
 @torch.no_grad()
 def relative(picture: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
-    """Guess distances of a picture (3xHxW, sRGB in 0…1).
-
-    Returns (H/2xW/2 each): logarithms of distance, up to scale and shift; and the probability of
-    open water, sky or a plain backdrop.
+    """Guess from a picture (3xHxW, sRGB in 0…1), H/2xW/2 each: logarithms of distance, up to scale
+    and shift; and the probability of open water, sky or a plain backdrop.
     """
     convolve = layers_of(weights)
     pictures = picture[None].contiguous(memory_format=torch.channels_last)

@@ -12,17 +12,10 @@ from uwaug._support.once import Once
 from uwaug.distance.sizes import size_in_words
 from uwaug.distance.unknown import FARTHEST_SEEN, alone_of_metres, in_words, of_metres
 
-_CELLS_ACROSS = 72
-"""Cells of a small copy along the shorter side. Nine pixels are read in each cell of a map."""
-
-REVERSED = -0.1
-"""Convexity below which near and far are exchanged. One true crop in 100 has less."""
-
-_REVERSED_LEAST_MAPS = 4
-"""Number of maps from which on their convexity is judged: one may be a bowl, or a made-up ramp."""
-
-_RUN_MAPS = 8
-"""Number of first maps of a process that are judged together."""
+_CELLS_ACROSS = 72  # of a small copy along the shorter side; nine pixels are read in each
+REVERSED = -0.1  # convexity below which near and far are exchanged; one true crop in 100 has less
+_REVERSED_LEAST_MAPS = 4  # whose convexity is judged: one may be a bowl, or a made-up ramp
+_RUN_MAPS = 8  # first maps of a process that are judged together
 
 _INVERSE = "Inverse(near, far) (--set distance.kind=Inverse)"
 
@@ -39,14 +32,9 @@ _SCALES = (
 )
 _STRETCHED = len(_SCALES) - 1
 
-_LARGEST_16_BITS_M = tuple(65535 * unit for unit in (1e-3, 1e-2))
-"""Largest distance (m) that 16 bits hold in mm and in cm."""
-
-_SCATTERED_SHARE = 0.3
-"""Share of cells with open water in part from which on it stands for unknown."""
-
-_STAND_IN_SHARE = 0.2
-"""Largest share of a map's pixels that a stand-in may hold: more may be a wall."""
+_LARGEST_16_BITS_M = (65.535, 655.35)  # in mm and in cm
+_SCATTERED_SHARE = 0.3  # of cells with open water in part, from which on it stands for unknown
+_STAND_IN_SHARE = 0.2  # of a map's pixels at most: more may be a wall
 
 
 class Evidence(NamedTuple):
@@ -64,11 +52,10 @@ class Evidence(NamedTuple):
 def doubts(distance: Tensor | Sequence[Tensor], image: Tensor | Sequence[Tensor]) -> list[str]:
     """Tell why maps may not be metres along the ray that fit their pictures.
 
-    Several maps are judged together, by what most of them show; a map that comes again counts
-    once. Near and far are told apart by surfaces: in the picture of a plane 1/z is linear, so that
-    the logarithm of distances is convex and that of disparities concave. Not found: planar depth
-    of a wide view (see `along_ray`), relative maps beyond 1, disparities of scenes without slanted
-    surfaces, shifts against the picture.
+    Several maps are judged by what most of them show. Near and far are told apart by surfaces: in
+    the picture of a plane 1/z is linear, so that the logarithm of distances is convex and that of
+    disparities concave. Not found: planar depth, relative maps beyond 1, disparities of flat
+    scenes, shifts against the picture.
 
     Args:
         distance: a map (1xHxW; 0, negative and NaN = unknown, +inf = open water), several maps of
@@ -76,10 +63,7 @@ def doubts(distance: Tensor | Sequence[Tensor], image: Tensor | Sequence[Tensor]
         image: as many pictures (3xHxW, uint8 or 0…1).
 
     Returns:
-        Sentences, each with its cure; none where there is nothing to doubt.
-
-    Raises:
-        TypeError, ValueError: if these are no maps and pictures, or not as many of both.
+        Sentences, each with its cure.
     """
     maps = [distance] if isinstance(distance, Tensor) and distance.ndim == 3 else list(distance)
     pictures = [image] if isinstance(image, Tensor) and image.ndim == 3 else list(image)
@@ -92,7 +76,6 @@ class FirstMaps(Once):
     """Doubts about the first maps of a process: of the first one, then of the first eight."""
 
     def renew(self) -> None:
-        """See `Once.renew`."""
         super().renew()
         self.entries: dict[int, Evidence] = {}
 
@@ -155,9 +138,9 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
     sentences = [entry.size for entry in entries if entry.size][:1]
     holes = sorted(entry.holes for entry in entries)
     if _is_majority([share > 0.5 for share in holes]):
-        got = f"{100 * holes[len(holes) // 2]:.0f} % of the distances are unknown"
         cure = "set scattered +inf to 0, and see what --holes makes up"
-        sentences.append(f"{got}: {cure}")
+        median = 100 * holes[len(holes) // 2]
+        sentences.append(f"{median:.0f} % of the distances are unknown: {cure}")
     for scale, sentence in enumerate(_SCALES):
         if _is_majority([entry.scale == scale for entry in entries]):
             sentences.append(f"distances {sentence}")
@@ -170,12 +153,11 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
         entry.scale not in (0, _STRETCHED) and entry.convexity < REVERSED for entry in entries
     ]
     if len(entries) >= _REVERSED_LEAST_MAPS and _is_majority(concave):
-        claim = "distances look like disparity or inverse depth, large where near"
-        cure = (
-            f"{_INVERSE}; from_disparity where focal length and baseline are known; but frames of "
-            "one scene are one witness (--sequence)"
+        sentences.append(
+            f"distances look like disparity or inverse depth, large where near: {_INVERSE}; "
+            "from_disparity where focal length and baseline are known; but frames of one scene are "
+            "one witness (--sequence)"
         )
-        sentences.append(f"{claim}: {cure}")
     return list(dict.fromkeys(sentences))
 
 

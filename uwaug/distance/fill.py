@@ -12,41 +12,20 @@ from uwaug.distance.convert import as_maps, first_bad_map
 
 # How these were chosen, and what lost: benchmarks/CHOICES.md, "Holes".
 
-_THIN_PX = 4.0
-"""Distance in the picture (px) within which a pixel takes the nearest value. From twice as far on
-the membrane counts alone.
-"""
-
-_SWEEPS = 4
-"""Sweeps of relaxation on each level of the membrane."""
-
-_OPEN_PER_M = 1e-9
-"""Inverse distance (1/m) below which there is open water."""
-
-_GUESSED_SHARE = 0.2
-"""Share of unknown pixels above which filling is guessing."""
-
-_RIM_PX = 3
-"""Width (px) of the rim from which a hole is filled. The edges of holes are ragged."""
-
+_THIN_PX = 4.0  # within which a pixel takes the nearest value; from twice as far on, the membrane's
+_SWEEPS = 4  # of relaxation on each level of the membrane
+_OPEN_PER_M = 1e-9  # inverse distance below which there is open water
+_GUESSED_SHARE = 0.2  # of unknown pixels, above which filling is guessing
+_RIM_PX = 3  # width of the rim from which a hole is filled: its edges are ragged
+# half of the distance, in widths of a hole, over which the sides of its rim are compared: those of
+# a shadow are one width apart
 _REACH_WIDTHS = 4
-"""Half of the distance, in widths of a hole, over which the sides of its rim are compared. The two
-sides of a shadow are one width apart.
-"""
-
-_NEARER_TIMES = 1.25
-"""Ratio of distances across a hole from which on the nearer side is what throws a shadow."""
-
+_NEARER_TIMES = 1.25  # ratio across a hole from which on the nearer side throws a shadow
+# depth of a hole, as a share of the map's shorter side, from which on its middle is no shadow:
+# registered maps have frames of up to 1/16
 _WIDE_SHARE = 1 / 20
-"""Depth of a hole, as a share of the map's shorter side, from which on its middle is no shadow.
-Registered maps have frames of up to 1/16.
-"""
-
-_WIDE_LEAST_PX = 4
-"""Least such depth (px), for the smallest maps."""
-
-_FARTHEST_QUANTILE = 0.98
-"""Quantile of a rim's distances that counts as its farthest. Beyond are wild pixels at edges."""
+_WIDE_LEAST_PX = 4  # of such a hole in the smallest maps
+_FARTHEST_QUANTILE = 0.98  # of a rim: beyond are wild pixels at edges
 
 _guess_warning = Once()
 
@@ -57,25 +36,17 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
     Within 4 pixels of known ones the nearest value keeps edges sharp. Farther inside, a membrane
     over 1/z spans the hole: in 1/z a plane of the scene is a plane, and open water is 0.
 
-    Maps of depth cameras want `behind=True`. Their holes are shadows that edges throw on what is
-    behind, and all that lies beyond the sensor's range. A hole is then filled from the farther
-    side of its rim, and the middle of a wide one gets the farthest distance of its rim. Where
-    there is open water beyond the range, set it: `torch.where(distance > 0, distance, torch.inf)`.
-
-    Fill a whole map before it is cropped: a crop may hold no known pixel.
-
     Args:
-        distance: (..., H, W), metres; +inf is open water, and known.
-        behind: fill holes with what is behind.
+        distance: (..., H, W), metres; +inf is open water, and known. Fill maps before cropping.
+        behind: for depth cameras, whose holes are shadows that edges throw, and all beyond the
+            range. A hole is filled from the farther side of its rim, the middle of a wide one with
+            the farthest distance there.
 
     Returns:
-        Shape of `distance`, every pixel above 0 and between the least and the largest known value;
-        differentiable in the known pixels, where the choice of the nearest or farthest one is held
-        fixed. `distance` itself if no pixel is unknown.
+        Shape of `distance`; differentiable in the known pixels, with their choice held fixed.
 
     Raises:
         ValueError: a map has no known pixel.
-        TypeError: `distance` is no floating-point tensor.
 
     Warns:
         UserWarning: once in a process, if more than 20 % of a map is unknown without `behind`.
@@ -93,15 +64,12 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
     shares = unknown.flatten(-2).double().mean(-1)
     empty = shares == 1
     if bool(empty.any()):
-        expected = "at least one known pixel (above 0 m) in each map"
-        got = f"{first_bad_map(empty)} without any"
-        cure = "fill whole maps before they are cropped"
-        raise ValueError(f"distance must have {expected}, got {got}: {cure}")
+        got = f"{first_bad_map(empty)} without any: fill whole maps before they are cropped"
+        raise ValueError(f"distance must have a known pixel (above 0 m) in each map, got {got}")
     percent = round(100 * float(shares.max()))
     if not behind and percent > 100 * _GUESSED_SHARE:
-        guess = f"distance is unknown at {percent} % of a map's pixels, and is guessed there"
-        cure = "maps of depth cameras want holes 'behind', open water wants 'far'"
-        _guess_warning.warn(f"{guess}: {cure}")
+        cure = "depth cameras want holes 'behind', open water wants 'far'"
+        _guess_warning.warn(f"distance is unknown at {percent} % of a map, and guessed: {cure}")
     sources_of = _from_behind if behind else _from_nearest
     size = distance.shape[-2:]
     maps, holes = distance.reshape(-1, *size), unknown.reshape(-1, *size)
@@ -124,8 +92,8 @@ def _from_nearest(distance: Any, unknown: Any) -> tuple[Any, Any, Any]:
 
 
 def _from_behind(distance: Any, unknown: Any) -> tuple[Any, Any, Any]:
-    """Return the same as `_from_nearest`, with sources behind the hole. Near sides of rims have
-    sources, too; the membrane spans neither rims nor the middle of wide holes.
+    """As `_from_nearest`, with sources behind the hole, also of near sides of rims. The membrane
+    spans neither rims nor the middle of wide holes.
     """
     from scipy import ndimage
     from scipy.spatial import cKDTree
@@ -188,12 +156,8 @@ def _far_ends(values: Any, rims: Any, count: int) -> tuple[Any, Any]:
 
 
 def _spanned(nearest: Tensor, away: Tensor, free: Tensor) -> Tensor:
-    """Put a membrane into maps (NxHxW), where the nearest value is far away.
-
-    Args:
-        nearest (NxHxW tensor): maps whose holes hold the nearest value, m.
-        away (NxHxW tensor): distance in the picture to that value, px.
-        free (NxHxW tensor): true where the membrane may be.
+    """Put a membrane into maps (NxHxW, m) whose holes hold the nearest value, where that is far
+    away (px) and the membrane is free.
     """
     weight = (away / _THIN_PX - 1).clamp(0, 1).to(nearest.dtype)
     if not bool((weight > 0).any()):

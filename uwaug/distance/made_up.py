@@ -23,25 +23,14 @@ from uwaug.distance.sources import Source, require_ends
 
 Floats = NDArray[np.float32]
 
-_OPEN_PROBABILITY = 0.75
-"""Probability of open water where a picture has a place for it."""
-
+_OPEN_PROBABILITY = 0.75  # of open water where a picture has a place for it
+# of a ramp instead: nets learn that water hides by distance, and not that this network is right
 _RAMP_PROBABILITY = 0.03
-"""Probability that a picture gets a ramp instead. Nets that train on it learn that water hides by
-distance, and not that this network is right.
-"""
-
-_LEAST_OPEN_SHARE = 0.03
-"""Least share of a picture that is surely open water, where there is any, and of each patch."""
-
+_LEAST_OPEN_SHARE = 0.03  # of a picture that is surely open water, if any is, and of each patch
+# probabilities from which open water is sure, begins around a sure place, and is whole there
 _SURE, _OPEN_FROM, _OPEN_TO = 0.7, 0.4, 0.6
-"""Probabilities from which open water is sure, begins around a sure place, and is whole there."""
-
-_GUIDE_PX = 2
-"""Reach (px of the small copy) over which distances follow the picture's colours."""
-
-_EDGE_VARIANCE = 0.02
-"""Variance of colours (0…1) below which there is no edge."""
+_GUIDE_PX = 2  # of the small copy, over which distances follow the picture's colours
+_EDGE_VARIANCE = 0.02  # of colours (0…1), below which there is no edge
 
 
 @codec.plain
@@ -49,21 +38,14 @@ _EDGE_VARIANCE = 0.02
 class MadeUp(Source):
     """Distances made up from each picture alone, drawn anew each time: no maps are needed.
 
-    A small network that comes with the package guesses what is nearer than what, and where there is
-    open water, such as sky. An exponent, a smooth field, and the presence of open water (in three
-    of four) are drawn. Distances step where the picture has edges, and reach from near to far.
-    One of thirty pictures, or all with `cue="ramp"`, gets a ramp: what is lower is nearer.
-
-    Order and sizes are guessed. That teaches a network that water hides far things more than near
-    ones. It is no truth to restore pictures or to measure by; a large network is nearer to it, see
-    `Network`. Pictures are sRGB.
+    A small network in the package guesses what is nearer than what, and where open water is, such
+    as sky. An exponent, a smooth field, and the presence of open water (in three of four) are
+    drawn. That teaches that water hides far things more than near ones. It is no truth to restore
+    or measure by.
 
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
-        cue: "network" or "ramp".
-
-    Raises:
-        ValueError: `near` or `far` is no such range, or there is no such cue.
+        cue: "network", with a ramp for one of thirty pictures; or "ramp": what is lower is nearer.
     """
 
     reads_maps = False
@@ -84,7 +66,6 @@ class MadeUp(Source):
 
     @torch.no_grad()
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        """See `Source.metres`."""
         rng = np.random.default_rng(int(drawn["scene"] * 2**53))
         white = 255 if image.dtype == torch.uint8 else 1
         picture = cue.small_copy(image).float() / white
@@ -109,12 +90,8 @@ class MadeUp(Source):
 
 
 def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
-    """Draw relative distances (HxW), alike to the left and the right: 0 near, 1 far, 2 open water.
-
-    Args:
-        log (HxW): logarithms of distances, up to scale and shift.
-        is_open (HxW): probabilities of open water.
-        rng: source of the random numbers.
+    """Draw relative distances (HxW), alike to the left and the right: 0 near, 1 far, 2 open water;
+    from their logarithms, up to scale and shift, and probabilities of open water.
     """
     height, width = log.shape
     openness = np.clip((is_open - _OPEN_FROM) / (_OPEN_TO - _OPEN_FROM), 0, 1)
@@ -171,7 +148,8 @@ def _box(size: int) -> Floats:
 
 def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
     """Put the colours of a picture (3xHxW) into `lines` (4xhxw), brought to its size; 0…highest."""
-    if picture.is_cpu and picture.dtype in (torch.uint8, torch.float32) and (loop := _loop()):
+    is_read = picture.is_cpu and picture.dtype in (torch.uint8, torch.float32)
+    if is_read and wanted() and (loop := _compiled()):
         result = np.empty(picture.shape[1:], np.float32)
         places = [_places(*sides) for sides in zip(lines.shape[1:], picture.shape[1:], strict=True)]
         loop(lines, picture.numpy(), *places, np.float32(highest), result)
@@ -189,13 +167,9 @@ def _places(small: int, large: int) -> tuple[Any, Floats]:
     return before, (places - before).astype(np.float32)
 
 
-def _loop() -> Any:
-    """The compiled `_enlarge`, if there is numba."""
-    return _compiled() if wanted() else None
-
-
 @cache
 def _compiled() -> Any:
+    """The compiled `_enlarge`, if there is numba."""
     try:
         return kept(_enlarge)
     except ImportError:

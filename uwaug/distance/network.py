@@ -17,18 +17,15 @@ from uwaug._support.onnx_session import Session
 from uwaug.distance.sizes import require_aspect
 from uwaug.distance.sources import Inverse, Source
 
+# address on the hub and commit of networks, whose options are the defaults of `Network`
 NAMED = {
     "depth-anything-v2-small": (
         "onnx-community/depth-anything-v2-small:onnx/model.onnx",  # Apache-2.0, 99 MB
         "4472b7362082ad9968fee890ca0f1e5aca36b93d",
     )
 }
-"""Address on the hub and commit of networks, by name. The options of `Network` are theirs."""
-
 _TYPES = {"tensor(float)": torch.float32, "tensor(float16)": torch.float16}
-
-_LONGEST = 4
-"""Most that a side of the input measures in short sides."""
+_LONGEST = 4  # short sides that a side of the input measures at most
 
 
 @codec.plain
@@ -36,32 +33,27 @@ _LONGEST = 4
 class Network(Source):
     """Monocular depth network, for pictures without maps, or to call.
 
-    Its errors become wrong colours, and it runs for every picture: where pictures come again, keep
-    its maps in files. A network of the Hugging Face hub is fetched once, at the first call.
+    Where pictures come again, keep its maps in files (`uwaug depth`). A network of the Hugging Face
+    hub is fetched once, at the first call.
 
     An ONNX file takes one picture, (1, 3, h, w), of floating point, and gives (1, h', w') or
-    (1, 1, h', w') first, as exports of MiDaS, DPT and Depth Anything do. It opens at the first
-    call, with as many threads as torch has there; each DataLoader worker opens its own.
+    (1, 1, h', w') first. It opens at the first call, with as many threads as torch has there; each
+    DataLoader worker opens its own.
 
     Attributes:
         model: path of an ONNX file; "depth-anything-v2-small" or "owner/name:file" of the hub; or a
             function of a picture (3xHxW, sRGB in 0…1) that gives a map (1xHxW).
         holds: meaning of its maps: `Inverse`, `Relative` or `Metres`.
-        short_side: short side of the input, px, where the file leaves it free. Of a strip the long
-            side gets four times as much at most.
-        multiple: the sides of the input are multiples of it: the patch size, 14 for Depth Anything,
-            32 for MiDaS.
-        mean, std: the file gets (image − mean)/std of each channel, image in 0…1; ImageNet's by
-            default.
+        short_side: short side of the input, px, where the file leaves it free; the long side has
+            four times as much at most.
+        multiple: patch size, by which sides are divisible: 14 for Depth Anything, 32 for MiDaS.
+        mean, std: the file gets (image − mean)/std of each channel, image in 0…1.
         providers: ONNX Runtime's execution providers.
-        revision: commit, branch or tag of a repository of the hub; one that was tried by default
-            for a name, the newest for "owner/name:file".
+        revision: commit, branch or tag of the hub; by default one that was tried for a name, the
+            newest for "owner/name:file".
 
     Raises:
         FileNotFoundError: there is no such file, or the hub does not give it.
-        ImportError: huggingface_hub is not installed.
-        ValueError: `short_side` or `multiple` is not positive, or a file or a function gets a
-            revision.
 
     Examples:
         >>> network = Network("depth-anything-v2-small")  # doctest: +SKIP
@@ -88,9 +80,8 @@ class Network(Source):
             raise ValueError(f"revision is of files on the hub, got model {self.model}")
         if callable(self.model):
             return
-        if self.short_side < 1 or self.multiple < 1:
-            got = f"got {self.short_side} and {self.multiple}"
-            raise ValueError(f"short_side and multiple must be at least 1, {got}")
+        checks.within("short_side", self.short_side, 1)
+        checks.within("multiple", self.multiple, 1)
         if is_named:
             _address_of(str(self.model))
 
@@ -110,11 +101,9 @@ class Network(Source):
         return None if callable(self.model) else self._opened.path
 
     def reach(self) -> tuple[float, float] | None:
-        """See `Source.reach`."""
         return self.holds.reach()
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        """See `Source.metres`."""
         guess = self(image / 255 if image.dtype == torch.uint8 else image)
         checks.floating("the network's map", guess)
         checks.picture("the network's map", guess, 1)
@@ -129,14 +118,10 @@ class Network(Source):
             image: (B, 3, H, W) or (3, H, W), sRGB in [0, 1].
 
         Returns:
-            (B, 1, H, W) or (1, H, W), on the device of `image`. The networks named above give
-            inverse depth: near = large, of any scale and shift, for `from_inverse`.
+            (B, 1, H, W) or (1, H, W), on the device of `image`; what `holds` says.
 
         Raises:
-            ImportError: onnxruntime is not installed.
-            TypeError: `image` is no floating-point tensor.
-            ValueError: `image` has another shape or leaves [0, 1], the file is no model, or the
-                network gives something else than a map.
+            ValueError: `image` leaves [0, 1], or the file is no network that gives a map.
         """
         if callable(self.model):
             return self.model(image)
@@ -181,21 +166,17 @@ def _address_of(model: str) -> tuple[str, str, str | None]:
     repository, _, file = address.partition(":")
     if repository.count("/") != 1 or not file:
         expected = f"an ONNX file, {', '.join(NAMED)}, or owner/name:file of the hub"
-        raise FileNotFoundError(f"model must be {expected}; got {model}: no such file")
+        raise FileNotFoundError(f"model must be {expected}, got {model}: no such file")
     return repository, file, tried
 
 
 def _fetched(model: str, revision: str | None) -> Path:
-    """Fetch a file of the hub, once, into the cache of huggingface_hub. Offline mode, mirrors and
-    tokens are set as that library has them (`HF_HUB_OFFLINE`, `HF_ENDPOINT`, `HF_TOKEN`).
-    """
+    """Fetch a file of the hub, once, into the cache of huggingface_hub and by its variables."""
     repository, file, tried = _address_of(model)
     (hub,) = require("hub", "huggingface_hub")
     try:
         return Path(hub.hf_hub_download(repository, file, revision=revision or tried))
     except Exception as error:  # of several libraries, without a common base
         reason = " ".join(str(error).split()) or type(error).__name__
-        cure = "or fetch the file elsewhere and give its path"
-        raise FileNotFoundError(
-            f"{repository}:{file} could not be fetched: {reason}; {cure}"
-        ) from error
+        got = f"{repository}:{file} could not be fetched: {reason}"
+        raise FileNotFoundError(f"{got}; or fetch it elsewhere and give its path") from error

@@ -8,13 +8,8 @@ from torch.nn.functional import interpolate, max_pool2d, pad
 
 from uwaug._support.once import Once
 
-_STEP_TIMES = 1.25
-"""Ratio of neighbouring distances from which on there is an edge between them; see "Sizes" in
-benchmarks/CHOICES.md.
-"""
-
-_ASPECT_TOLERANCE = 0.01
-"""Relative difference of aspects that may pass, as sizes are rounded to whole pixels or blocks."""
+_STEP_TIMES = 1.25  # ratio of neighbours from which on there is an edge: CHOICES.md, "Sizes"
+_ASPECT_TOLERANCE = 0.01  # relative: sizes are rounded to whole pixels or blocks
 
 _size_warning = Once()
 
@@ -43,11 +38,8 @@ def size_in_words(size: Sequence[int], other: Sequence[int]) -> str:
 
 
 def brought_to(size: Sequence[int], z: Tensor) -> Tensor:
-    """Bring distances (1xhxw, m) to another (height, width). Between four like distances they are
-    linear; across edges, and beside holes and open water, they are those of the nearest pixel.
-
-    Warns:
-        UserWarning: once in a process, with both sizes.
+    """Bring distances (1xhxw, m) to another (height, width), and warn once in a process. Between
+    four like distances they are linear; at edges, holes and open water those of the nearest pixel.
     """
     if z.shape[-2:] == tuple(size):
         return z

@@ -1,6 +1,4 @@
-"""Sources of distances, for `RandomUnderwater(distance=…)`: the meaning of maps, or what replaces
-them. They give metres at every pixel, or an error.
-"""
+"""Sources of distances, for `RandomUnderwater(distance=…)`: the meaning of maps, or no maps."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, get_args
@@ -25,28 +23,19 @@ from uwaug.distance.unknown import (
 
 _Policy = Literal["error", "fill", "behind", "far"]
 Holes = _Policy | float
-"""Treatment of pixels without a distance. "error": an error. "fill": a distance from the known ones
-around. "behind": a distance from those behind, for the shadows and the range of depth cameras (see
-`fill_unknown`). "far": open water. A number: as many metres.
+"""Treatment of pixels without a distance: an error; a distance from around; one from behind, for
+depth cameras (see `fill_unknown`); open water; or a number of metres.
 """
 
+_LEAST_NEAR_M = 1e-6  # that relative distance 0 gets with near = 0: a distance of 0 means unknown
 _stand_in_warning = Once()
-
-_LEAST_NEAR_M = 1e-6
-"""Metres that relative distance 0 gets with near = 0: a distance of 0 means unknown."""
 
 
 class Source(Noun):
-    """Source of a picture's distances. A subclass is a frozen dataclass.
+    """Source of a picture's distances. A subclass is a frozen dataclass."""
 
-    Attributes:
-        reads_maps: each picture brings a map.
-        reads_pictures: distances follow from the picture's values, which then come as sRGB; else
-            only its size and type count.
-    """
-
-    reads_maps: ClassVar[bool] = True
-    reads_pictures: ClassVar[bool] = False
+    reads_maps: ClassVar[bool] = True  # of which each picture brings one
+    reads_pictures: ClassVar[bool] = False  # as sRGB; else their size and type alone count
 
     def reach(self) -> tuple[float, float] | None:
         """Nearest and farthest distance (m) of all pictures; None where they follow from maps."""
@@ -54,26 +43,16 @@ class Source(Noun):
             return None
         return self._ends["near"][0], self._ends["far"][1]
 
-    def metres(
-        self,
-        distance: Tensor | None,
-        image: Tensor,
-        drawn: Drawn,
-        *,
-        focal_px: float | None = None,
-        center: tuple[float, float] | None = None,
-    ) -> Tensor:
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         """Compute the distances of a picture: metres above 0, or +inf for open water.
 
         Args:
-            distance (1xhxw tensor): the picture's map, if the source reads maps; of the picture's
-                aspect. The result has its size.
-            image (3xHxW tensor): the picture; uint8, or floating point in 0…1. sRGB where
-                `reads_pictures`.
+            distance (1xhxw tensor): the picture's map, of its aspect, if the source reads maps. The
+                result has its size.
+            image (3xHxW tensor): the picture; uint8, or floating point in 0…1.
             drawn: numbers that the picture has drawn, by name.
-            focal_px: focal length, px of the picture; planar maps need it.
-            center: pixel (x, y) of the picture through which the optical axis goes; its middle if
-                None.
+            view: focal_px (px of the picture), which planar maps need; and center, the pixel (x, y)
+                of the optical axis, or None for the middle.
 
         Raises:
             ValueError: if the map holds something else, or has holes without a treatment.
@@ -87,13 +66,10 @@ class Metres(Source):
     """Maps of metres along the ray, or of planar depth.
 
     Attributes:
-        holes: treatment of NaN, 0 and negative distances, see `Holes`; and of stand-ins for "no
-            distance": a largest value beyond 50 m, far from all others, that a type cannot exceed,
-            such as 65.535, or that has one or two digits, such as 1000. With "error" a stand-in
-            from 100 m on is open water, as is 1e7 m and more; a nearer one stays, with a warning.
-            Geometric transforms pad with 0.
-        planar: maps hold depth along the optical axis, as depth cameras and renderers write it, see
-            `along_ray`.
+        holes: treatment of NaN, 0 and negative distances, see `Holes`; and of stand-ins beyond 50
+            m, far from all others, such as 65.535 or 1000. With "error" a stand-in from 100 m on is
+            open water, as is 1e7 m and more; a nearer one stays, with a warning.
+        planar: maps hold depth along the optical axis, as depth cameras and renderers write it.
     """
 
     holes: Holes = "error"
@@ -104,16 +80,7 @@ class Metres(Source):
         if self.planar not in (True, False):
             raise ValueError(f"planar must be true or false, got {self.planar!r}")
 
-    def metres(
-        self,
-        distance: Tensor | None,
-        image: Tensor,
-        drawn: Drawn,
-        *,
-        focal_px: float | None = None,
-        center: tuple[float, float] | None = None,
-    ) -> Tensor:
-        """See `Source.metres`."""
+    def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         assert distance is not None
         z = as_maps("distance", distance)
         checks.metres("distance", z)
@@ -128,23 +95,19 @@ class Metres(Source):
                 z = torch.where(stand_in, torch.inf, z)
             z = torch.where(range_end(z), torch.inf, z)
         if self.planar:
-            focal_px = focal_px or 0.0
+            focal_px = view.get("focal_px") or 0.0
             checks.positive("focal_px", focal_px, "px")
             (h, w), (height, width) = z.shape[-2:], image.shape[-2:]
-            x, y = center or (width / 2, height / 2)
-            z = along_ray(
-                z,
-                (focal_px * w / width, focal_px * h / height),
-                (x * w / width, y * h / height),
-            )
+            x, y = view.get("center") or (width / 2, height / 2)
+            focal = focal_px * w / width, focal_px * h / height
+            z = along_ray(z, focal, (x * w / width, y * h / height))
         return _without_holes(z, self.holes)
 
 
 @codec.plain
 @dataclass(frozen=True)
 class Relative(Source):
-    """Maps of relative distance, 0 = near, 1 = far: near + (far − near)·t^gamma, see
-    `from_relative`. Order and proportions of the scene are right, its size is drawn.
+    """Maps of relative distance, 0 = near, 1 = far: near + (far − near)·t^gamma.
 
     Attributes:
         near, far: m; numbers or (low, high).
@@ -164,7 +127,6 @@ class Relative(Source):
         _require_holes(self.holes)
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        """See `Source.metres`."""
         assert distance is not None
         near = max(drawn["near"], _LEAST_NEAR_M)
         t = _without_stand_ins(as_maps("distance", distance), self.holes)
@@ -176,13 +138,12 @@ class Relative(Source):
 @dataclass(frozen=True)
 class Inverse(Source):
     """Maps of inverse depth as monocular networks give it: large = near, of unknown scale and
-    shift. Every map is stretched to reach from near to far, even that of a flat scene, see
-    `from_inverse`.
+    shift. Every map is stretched to reach from near to far, even that of a flat scene.
 
     Attributes:
         near, far: m; numbers or (low, high), near above 0.
-        holes: treatment of NaN, infinite values, and stand-ins such as 0 where a matcher has found
-            nothing, see `Holes`; "error" only warns of 0, which may be the sky.
+        holes: treatment of NaN, infinite values, and stand-ins, see `Holes`; "error" only warns of
+            0, which may be the sky.
     """
 
     near: Range = number(1.0, 0.0)
@@ -195,7 +156,6 @@ class Inverse(Source):
         _require_holes(self.holes)
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        """See `Source.metres`."""
         assert distance is not None
         inverse = _without_stand_ins(as_maps("distance", distance), self.holes)
         return _without_holes(from_inverse(inverse, drawn["near"], drawn["far"]), self.holes)
@@ -205,9 +165,7 @@ class Inverse(Source):
 @dataclass(frozen=True)
 class Plane(Source):
     """Plane that faces the camera, in place of maps: one veil, cast and blur for each picture.
-
-    That suits a flat scene. Elsewhere far things do not fade first, and a network may learn only
-    the tint.
+    Elsewhere than in a flat scene, a network may learn only the tint.
 
     Attributes:
         distance: m; a number or (low, high).
@@ -221,12 +179,10 @@ class Plane(Source):
         as_range("distance", self.distance, 0.0, unit="m")
 
     def reach(self) -> tuple[float, float]:
-        """See `Source.reach`."""
         low, high, _ = self._ends["distance"]
         return low, high
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        """See `Source.metres`."""
         dtype = torch.promote_types(image.dtype, torch.float32)
         return image.new_full((1, *image.shape[-2:]), drawn["distance"], dtype=dtype)
 
@@ -263,7 +219,6 @@ def _without_stand_ins(x: Tensor, holes: Holes) -> Tensor:
 
 
 def _without_holes(z: Tensor, holes: Holes) -> Tensor:
-    """Treat the holes of a map in metres."""
     if not isinstance(holes, str):
         return torch.where(z > 0, z, holes)
     if holes == "far":
@@ -273,8 +228,6 @@ def _without_holes(z: Tensor, holes: Holes) -> Tensor:
     # the least is NaN if any is; a mask of all pixels takes several times as long
     if z.numel() and not z.detach().amin() > 0:
         counts = checks.counted(z, "NaN", "negative", "zero")
-        cure = (
-            "give holes='behind' (--holes behind; for maps of depth cameras), fill, far or metres"
-        )
+        cure = "holes='behind' (--holes behind, for depth cameras), fill, far or metres"
         raise ValueError(f"distance must be above 0 m, but is {counts}: {cure}")
     return z

@@ -1,45 +1,28 @@
 """Stand-ins: numbers in maps that mean unknown, or sky.
 
-Several pixels hold exactly such a number, and it is alone: a gap away from all others. So is many a
-true distance, such as that of a facade that faces the camera. A number of metres is a stand-in only
-if it also looks like one, as 65.535 or 1000 do. In metres, 0, negative numbers and NaN are unknown
-anyway, and from `checks.OPEN` on all is open water.
+Several pixels hold exactly such a number, a gap away from all others. So do those of a facade that
+faces the camera: a number of metres must also look like a stand-in, as 65.535 or 1000 do.
 """
 
 import torch
 from torch import Tensor
 
-FARTHEST_SEEN = 50.0
-"""Distance (m) beyond which the largest one of a map may be a stand-in."""
+FARTHEST_SEEN = 50.0  # m, beyond which the largest distance of a map may be a stand-in
+NO_RANGE = 100.0  # m, from which on it is a renderer's sky, and no pixel that a camera did not see
 
-_LEAST_PIXELS = 8
-"""Least number of pixels that hold a stand-in. Wild pixels differ from each other."""
-
-_LEAST_VALUES = 3
-"""Least number of different values that a map has besides."""
-
+_LEAST_PIXELS = 8  # that hold a stand-in: wild pixels differ from each other
+_LEAST_VALUES = 3  # that a map has besides
+# gap to all other values, as a share of the map's range; the wide one holds where a stand-in may
+# also be the nearest thing of a scene
 _GAP_SHARE, _WIDE_GAP_SHARE = 0.2, 0.8
-"""Gap between a stand-in and all other values, as a share of the map's range. The wide one holds
-where a stand-in may also be the nearest thing of a scene.
-"""
-
-_ZERO_GAP_SHARE = 0.02
-"""The same gap above 0. A network's maps are stretched to 0 without a gap."""
-
+_ZERO_GAP_SHARE = 0.02  # above 0: a network's maps are stretched to 0 without a gap
+# largest numbers of 16 bits, in usual units (m), which need no gap
 _TYPE_ENDS_M = tuple(
     end * unit for end in (32767, 65504, 65535) for unit in (1.0, 0.1, 0.01, 0.001)
 )
-"""Largest numbers of 16 bits, in usual units (m). They need no gap."""
-
-NO_RANGE = 100.0
-"""Distance (m) from which on a stand-in is the sky of a renderer. A nearer one may also be a pixel
-that a depth camera did not see.
-"""
-
+# share of the pixels at the largest distance, and its ratio to the median of all others, from which
+# on a renderer ends there; by default at most .12 of the contrast would be left so far away
 _END_SHARE, _END_TIMES = 0.01, 20.0
-"""Share of the pixels at the largest distance, and its ratio to the median of all others, from
-which on a renderer ends there. By default at most .12 of the contrast would be left so far away.
-"""
 
 
 def of_metres(z: Tensor) -> Tensor:
@@ -74,9 +57,7 @@ def of_shares(x: Tensor) -> Tensor:
 
 
 def range_end(z: Tensor) -> Tensor:
-    """True where a map (1xHxW, m) holds its largest distance, if that is where a renderer ends.
-    Others may come near it.
-    """
+    """True where a map (1xHxW, m) holds its largest distance, if a renderer ends there."""
     z = torch.where((z > 0) & z.isfinite(), z.detach(), 0.0)
     top = z.amax()
     is_end = (z == top) & (top > FARTHEST_SEEN)

@@ -57,8 +57,7 @@ _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.
 
 _LUMINANCE = np.array(LUMINANCE)
 
-_BAND = 1 << 20
-"""Pixels whose coarse grids are held at a time: up to 24 MiB."""
+_BAND = 1 << 20  # pixels whose coarse grids are held at a time: up to 24 MiB
 
 
 class _Scene(NamedTuple):

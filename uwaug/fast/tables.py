@@ -311,8 +311,7 @@ are the entry. With 128 entries in an octave pictures are right within 1e-6. (Ta
 in the logarithm, and tables for all that a pixel needs: benchmarks/CHOICES.md, loops.)
 """
 
-_MIN_DISTANCE = 1e-6
-"""m, and share of the farthest distance: stands for 0, which has no logarithm."""
+_MIN_DISTANCE = 1e-6  # m, and share of the farthest distance: stands for 0, which has no logarithm
 
 
 def medium_table(row: Weights) -> MediumTable:

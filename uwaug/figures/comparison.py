@@ -2,24 +2,30 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+
+from PIL import Image
 
 from uwaug import published
 from uwaug._support import checks
-from uwaug.figures.demo import SETTING, in_waters
-from uwaug.figures.sheet import sheet, show
+from uwaug.figures.demo import SETTING, in_waters, sheet_of
 from uwaug.optics.water import load_water
 from uwaug.presets.scene import Scene
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def draw_comparison(
     scene: Scene, water: str, systems: Sequence[str] = (), *, stretch: float = 1.0
-) -> "Figure":
-    """Draw a scene, its picture by uwaug and by each published system (all by default), with their
-    mean colours; `stretch` is a factor of all distances.
+) -> Image.Image:
+    """Draw a scene, its picture by uwaug and by each published system, with their mean colours.
+
+    Args:
+        scene: picture and distances.
+        water: see `uwaug.published.picture`.
+        systems: see `uwaug.published.system`; all of `uwaug.published.systems` by default.
+        stretch: factor of all distances; below 1 it brings the scene nearer, where murky water
+            would leave nothing of it.
+
+    Raises:
+        ValueError: if a system or the water is unknown, or the stretch is not above 0.
     """
     checks.positive("stretch", stretch)
     if stretch != 1:
@@ -29,13 +35,13 @@ def draw_comparison(
     pictures = {"no water": scene.image, "uwaug": own}
     for name in systems or published.systems():
         pictures[name] = published.picture(name, scene.image, scene.distance, water)
+    cells = []
+    for name, picture in pictures.items():
+        mean = " ".join(f"{value:.2f}" for value in picture.double().mean((1, 2)).tolist())
+        cells.append((picture, f"{name}   ({mean})"))
     heading = f"One scene, uwaug and {len(pictures) - 2} systems, {water}"
     caption = (
         "Each as its authors computed it; in brackets the means of red, green and blue, 0…1.\n"
         f"uwaug: {SETTING[0].lower()}{SETTING[1:]}."
     )
-    figure, axes = sheet(scene, len(pictures), heading, caption)
-    for axis, (name, picture) in zip(axes, pictures.items(), strict=False):
-        mean = " ".join(f"{value:.2f}" for value in picture.double().mean((1, 2)).tolist())
-        show(axis, picture, f"{name}   ({mean})")
-    return figure
+    return sheet_of(scene, cells, heading, caption)

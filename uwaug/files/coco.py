@@ -20,16 +20,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Coco(Labels):
-    """Labels in one JSON file: images by file name, and annotations by the id of their image.
+    """Labels in one JSON file; `of` has the image and the annotations of each picture."""
 
-    Attributes:
-        of: image and annotations of each picture, by its name.
-        rest: all other entries of the file.
-        count: number of images in the file.
-    """
-
-    rest: Entry = field(default_factory=dict)
-    count: int = 0
+    rest: Entry = field(default_factory=dict)  # all other entries of the file
+    count: int = 0  # of images in the file
 
     reads = "a COCO file (.json)"
 
@@ -41,9 +35,8 @@ class Coco(Labels):
             rest = json.loads(path.read_text(encoding="utf-8-sig"))
             images = list(rest.pop("images"))
             annotations: dict[Any, list[Entry]] = {image["id"]: [] for image in images}
-            if len(annotations) < len(images) or not all(
-                parts_of(str(image["file_name"])) for image in images
-            ):
+            are_named = all(parts_of(str(image["file_name"])) for image in images)
+            if len(annotations) < len(images) or not are_named:
                 raise ValueError("expected a file_name and an id of its own for each image")
             for entry in rest.pop("annotations"):
                 if "segments_info" in entry:
@@ -73,8 +66,8 @@ class Coco(Labels):
             try:
                 yield entry["id"], _pixels(entry, size)
             except (ValueError, TypeError, KeyError, IndexError) as error:
-                got = f"annotation {entry.get('id')}: {error!r}"
-                raise ValueError(f"{self.path}, {got}") from error
+                place = f"{self.path}, annotation {entry.get('id')}"
+                raise ValueError(f"{place}: {error!r}") from error
 
     def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
         """A file of the same name, with the images of the pictures, and a "contrast" in each
@@ -121,7 +114,6 @@ def _matches(path: Path, images: Sequence[Entry], items: Sequence["Item"]) -> di
 
 
 def _pixels(entry: Entry, size: "Size") -> "Pixels":
-    """Pixels of an annotation, by its segmentation, else by its box."""
     from uwaug.files.pixels import of_box, of_polygons, of_runs
 
     segmentation = entry.get("segmentation")

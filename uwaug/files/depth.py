@@ -15,23 +15,13 @@ from uwaug.distance import Inverse, Metres, Network, Relative
 from uwaug.files.items import Item
 from uwaug.files.pictures import read_distance, read_picture
 from uwaug.files.record import digest
-from uwaug.files.run import Job, Progress, Work, run
+from uwaug.files.run import Job, Work, run
 from uwaug.files.summary import Summary
 
 _WHITE = 65535  # of 16 bits
 
 
-def write_maps(
-    network: Network,
-    items: Sequence[Item],
-    out: str | Path,
-    *,
-    workers: int = 1,
-    resume: bool = False,
-    force: bool = False,
-    sheet: bool = False,
-    progress: Progress | None = None,
-) -> Summary:
+def write_maps(network: Network, items: Sequence[Item], out: str | Path, **options: Any) -> Summary:
     """Write the maps of a network as PNG of 16 bits with the names of the pictures, and a record
     beside each.
 
@@ -42,8 +32,7 @@ def write_maps(
         network: a network in a file.
         items: pictures, see `find_items`.
         out: folder to write to, made if need be.
-        workers, resume, force, progress: as for `degrade`; each process has its own network.
-        sheet: draw some of the maps on sheet.jpg, bright where they are near.
+        options: workers, resume, force, sheet and progress, as for `degrade`.
 
     Raises:
         TypeError: if the network is a function.
@@ -51,9 +40,7 @@ def write_maps(
     """
     work = _Maps(network, Path(out))
     jobs = [Job(item, Path(item.name).with_suffix(".png").as_posix()) for item in items]
-    return run(
-        work, jobs, workers=workers, resume=resume, force=force, sheet=sheet, progress=progress
-    )
+    return run(work, jobs, **options)
 
 
 class _Maps(Work):
@@ -80,7 +67,6 @@ class _Maps(Work):
 
 
 def _whole_numbers(depth: Tensor, network: Network) -> NDArray[np.uint16]:
-    """The numbers of a map (1xHxW) in its file (HxW)."""
     values = depth[0].double().numpy()
     low, high = float(values.min()), float(values.max())
     if not np.isfinite(high - low):

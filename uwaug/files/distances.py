@@ -6,27 +6,20 @@ from typing import Any, NamedTuple
 
 from uwaug._support.ranges import read_range
 
+# distances from pictures alone, by word: sources as plain values
 WORDS: dict[str, dict[str, Any]] = {
     "made-up": {"kind": "MadeUp"},
     "depth-anything": {"kind": "Network", "model": "depth-anything-v2-small"},
 }
-"""Distances from pictures alone, by word: sources as plain values."""
-
 _FILM_PLANE_M = (1.0, 5.0)  # least and largest distance of the plane that a film without maps is
 
 
 class Distances(NamedTuple):
-    """The distances of a run.
+    """The distances of a run."""
 
-    Attributes:
-        source: plain value of `RandomUnderwater(distance=…)`; None for its default.
-        maps: file, folder or pattern of maps, for `find_items`; None without maps.
-        note: a sentence to tell, or "".
-    """
-
-    source: Any
-    maps: str | None
-    note: str = ""
+    source: Any  # plain value of `RandomUnderwater(distance=…)`; None for its default
+    maps: str | None  # file, folder or pattern of maps, for `find_items`
+    note: str = ""  # a sentence to tell
 
 
 def distances_of(
@@ -38,20 +31,15 @@ def distances_of(
     sequence: bool = False,
 ) -> Distances:
     """Choose the distances of a run by its options; refuses options of maps where there are none.
-
-    Args:
-        distance: a file, a folder or a pattern, see `find_items`; else metres, as 3 or 1:5, or a
-            word of `WORDS`; None if not given.
-        source: plain value of `RandomUnderwater(distance=…)`; None if not given.
-        unit, holes: as for `Recipe` and `Metres`; any but the defaults are of maps.
-        sequence: True if pictures are frames of films.
+    `distance` is a file, a folder or a pattern, see `find_items`; metres, as 3 or 1:5; or a word of
+    `WORDS`. `source` is a plain value of `RandomUnderwater(distance=…)`.
     """
     has_options = source is not None or (unit, holes) != ("m", "error")
     if distance is not None and not exists(distance):
         plane = read_range(distance)
         if plane is not None:
             if has_options:
-                cure = "unit, holes and distance.… are of maps; leave them out"
+                cure = "leave out unit, holes and distance.…, which are of maps"
                 raise ValueError(f"distance is {distance} m for all of a picture: {cure}")
             return Distances(plane, None)
         if (word := WORDS.get(distance)) is not None:

@@ -31,17 +31,11 @@ _IN_FILES, _IN_FOLDERS = (
 
 
 class Frame(NamedTuple):
-    """A frame of a film, which several cameras of a rig may have taken.
+    """A frame of a film, which several cameras of a rig may have taken."""
 
-    Attributes:
-        number: place of the frame among all of the film's, from 0.
-        moment: place of the frame in time, from 0; frames of several cameras share it.
-        candidates: frames that the film's draw may be settled on, from all over it, the middle one
-            of the first camera first.
-    """
-
-    number: int
-    moment: int
+    number: int  # place among all frames of the film, from 0
+    moment: int  # place in time, from 0, which frames of several cameras share
+    # frames that the film's draw may be settled on, the middle one of the first camera first
     candidates: tuple[Item, ...]
 
 
@@ -81,7 +75,7 @@ def rigs_of(frames: Mapping[Item, Frame]) -> str:
     first, *others = max(films, key=len)
     if not others:
         return f"{count_of_all}: are some by one rig? --rig FOLDER,FOLDER" if len(films) > 1 else ""
-    got = f"{first} and {others[0]} are taken for cameras of a rig: one water, metered on {first}"
+    got = f"{first} and {others[0]} are taken for one rig: one water, metered on {first}"
     return f"{count_of_all}; {got}; --rig none if they are none"
 
 
@@ -90,8 +84,8 @@ def unjoined(items: Sequence[Item]) -> str:
     folders = max(_folders_of(frames_of(items)), key=len, default=[])
     if len(folders) < 2:
         return ""
-    got = f"{folders[0]} and {folders[1]} look like cameras of a rig"
-    return f"{got}, but each picture has a water of its own; --sequence gives all the same"
+    rig = f"{folders[0]} and {folders[1]}"
+    return f"{rig} look like cameras of a rig: --sequence gives their pictures the same water"
 
 
 def _folders_of(frames: Mapping[Item, Frame]) -> list[list[str]]:
@@ -150,9 +144,6 @@ class Films:
     def settled(self, frame: Frame, variant: int) -> tuple[Record, list[Any]]:
         """The record of a frame's film, with its camera's motion a frame, and the frame that it is
         settled on: its name, and the digests of its picture and its map.
-
-        The film is settled on the first candidate that can be read, is not dark and shows more than
-        open water; without one, on the first that can be read. Without that, it is refused.
         """
         middle = frame.candidates[0]
         if (middle, variant) not in self._settled:
@@ -174,6 +165,9 @@ class Films:
         return {"samples": [{**of_frame(sample, frame.number), **ways}]}
 
     def _settle(self, candidates: Sequence[Item], variant: int) -> tuple[Record, Item]:
+        """Settle a draw on the first frame that can be read, is not dark and shows more than open
+        water; without one, on the first that can be read.
+        """
         draw = self.recipe.drawn(candidates[0].name, variant)
         poor, reasons = [], []
         for item in candidates:

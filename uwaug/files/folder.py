@@ -12,16 +12,15 @@ from pathlib import Path
 from typing import IO, Any
 
 from uwaug import __version__
-from uwaug._support.atomic import require_regular, written_whole
+from uwaug._support.atomic import require_regular, write_whole
 from uwaug.files.record import digest
 
-MANIFEST = "uwaug-run.json"
-"""Name of the manifest: by whom, with what, and which files."""
+MANIFEST = "uwaug-run.json"  # by whom, with what, and which files
+NOT_OURS = "was not written by a run: move it, or choose another folder"
 
 _LOCK = ".uwaug-run.lock"
 _SILENCE_S = 300.0  # after which a run on another machine is taken for dead
 _FAR_BYTE = 1 << 20  # Windows lets nobody read a byte that is locked
-
 _ANEW = "force=True (--force) removes what it wrote, and begins anew"
 
 
@@ -39,11 +38,8 @@ def manifest_of(folder: Path) -> dict[str, Any] | None:
 
 @contextmanager
 def held(out: Path) -> Iterator[Callable[[], None]]:
-    """Open a context in which no other run works in a folder. Gives a function to call now and
-    then, as a sign of life. A process that is killed holds nothing.
-
-    Raises:
-        FileExistsError: if another run is at work there.
+    """Open a context in which no other run works in a folder; a FileExistsError if one does. Gives
+    a function to call now and then, as a sign of life. A process that is killed holds nothing.
     """
     out.mkdir(parents=True, exist_ok=True)
     here = socket.gethostname()
@@ -94,19 +90,9 @@ def _lock(file: IO[str]) -> bool | None:
 
 
 class RunFolder:
-    """What a run may write in a folder that it holds.
-
-    Args:
-        out: folder.
-        made_with: what all results follow from.
-        files: names of all files of the run but its lists, which are those of all pictures.
-        inputs: real paths of files that are read.
-        resume: go on with a run of the same `made_with`.
-        force: remove first what a run has written there.
-
-    Raises:
-        FileExistsError: if the folder holds anything else.
-        ValueError: if a file that is read would be removed.
+    """What a run may write in a folder that it holds: `files` and lists of all pictures. Anything
+    else in the folder is refused, but a run to `resume`, with the same `made_with`, or to remove by
+    `force`. `inputs` are real paths of files that are read, and never removed.
     """
 
     def __init__(
@@ -143,43 +129,35 @@ class RunFolder:
         self._save()
 
     def write_lists(self, lists: Mapping[str, bytes]) -> list[str]:
-        """Write files of all pictures, but those that somebody has written or edited: gives a
-        sentence on each of these.
+        """Write files of all pictures, but those that somebody has written or edited: a sentence on
+        each of these.
         """
         digests, notes, own = self._manifest["lists"], [], {}
         for name, content in lists.items():
             file = self.out / name
             if file.exists() and digest(file) not in digests.get(name, ()):
-                cure = "remove it, and --resume writes it"
-                notes.append(f"{file} stays, as it was edited: {cure}")
+                notes.append(f"{file} stays, as it was edited: remove it, and --resume writes it")
                 continue
             own[name] = content
             # that of before counts as well, should this process be killed here
             digests[name] = [*digests.get(name, [])[-1:], sha256(content).hexdigest()]
         self._save()
         for name, content in own.items():
-            file = self.out / name
-            file.parent.mkdir(parents=True, exist_ok=True)
-            with written_whole(file) as part:
-                part.write_bytes(content)
+            write_whole(self.out / name, content)
         return notes
 
     def _save(self) -> None:
-        with written_whole(self.out / MANIFEST) as part:
-            part.write_text(json.dumps(self._manifest, indent=1) + "\n", encoding="utf-8")
+        write_whole(self.out / MANIFEST, f"{json.dumps(self._manifest, indent=1)}\n".encode())
 
     def _remove(self, manifest: Mapping[str, Any], inputs: Collection[str]) -> None:
         """Remove the files of a run, but lists that were edited."""
         lists = manifest["lists"].items()
-        names = [name for name, digests in lists if digest(self.out / name) in digests]
-        files = [self.out / name for name in (*manifest["files"], *names)]
+        own = [name for name, digests in lists if digest(self.out / name) in digests]
+        files = [self.out / name for name in (*manifest["files"], *own)]
         if read := next((file for file in files if os.path.realpath(file) in inputs), None):
             raise ValueError(f"{read} is read, and would be removed: choose another folder")
         for file in files:
             file.unlink(missing_ok=True)
-
-
-NOT_OURS = "was not written by a run: move it, or choose another folder"
 
 
 def require_same(out: Path, earlier: Mapping[str, Any], made_with: Mapping[str, Any]) -> None:

@@ -13,8 +13,8 @@ from uwaug.files.yolo import Yolo
 if TYPE_CHECKING:
     from uwaug.files.items import Item
 
+# in the order of trial: data sets in any format may hold masks, too
 FORMATS: tuple[type[Labels], ...] = (Coco, Yolo, Voc, Masks)
-"""Formats in the order of trial: data sets in any format may hold masks, too."""
 
 
 def formats() -> str:
@@ -24,12 +24,8 @@ def formats() -> str:
 
 
 def open_labels(path: str | Path, items: Sequence["Item"]) -> Labels:
-    """Open the labels of pictures in a file or a folder. The format is recognised by the files that
-    belong to the pictures.
-
-    Raises:
-        ValueError: if no format has labels for any picture; the error says what was looked for.
-        OSError: if there is no such file or folder.
+    """Open the labels of pictures in a file or a folder, in any of the formats; a ValueError says
+    what was looked for.
     """
     Path(path).stat()
     reasons = []

@@ -17,7 +17,8 @@ from uwaug.files.pictures import ENDINGS, MAP_ENDINGS, holds_picture
 from uwaug.files.record import record_of
 
 _PICTURE_ENDINGS = tuple(end for end in ENDINGS if end != ".npy")
-
+_LISTED_ENDINGS = (*ENDINGS, *MAP_ENDINGS)
+# cures for pictures that are neither read nor written, with the ends of their names
 _UNREAD = {
     "convert them first, as by magick mogrify -format png": (
         *(".avif", ".bmp", ".gif", ".heic", ".heif", ".jfif", ".jp2", ".jpe", ".jxl"),
@@ -30,7 +31,6 @@ _UNREAD = {
         *(".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".webm"),
     ),
 }
-"""Cures for pictures that are neither read nor written, with the ends of their names."""
 
 _OF_DISKS = ("@eaDir", "@Recycle", "@Recently-Snapshot", "@tmp")  # folders of network disks
 _MAX_DELAY_S = 0.02  # between a picture and its map, as in TUM's own tool
@@ -42,13 +42,8 @@ _STEM = re.compile(r"\{stem(?::([^=}]*)=([^}]*))?\}")
 
 
 class Item(NamedTuple):
-    """A picture of a run.
-
-    Attributes:
-        name: path below the folder of pictures, with forward slashes; also the place in the folder
-            of the run. Random numbers follow from it.
-        picture: file of the picture.
-        distance: file of its distances; None where the transform makes them.
+    """A picture of a run, with the file of its distances unless the transform makes them. Its name
+    is the path below the folder of pictures, from which random numbers follow.
     """
 
     name: str
@@ -68,15 +63,13 @@ def find_items(
         pictures: a picture; or a folder of PNG, JPEG, TIFF and EXR files, searched with its
             subfolders. Pictures that a run has written are left out.
         distance: a file for all pictures; a folder with files of the pictures' names, or of times
-            within 20 ms of theirs; a .txt file with a picture and its map in each line, such as
-            TUM's associations; or a pattern with {stem}, the name of a picture without its end.
-            "{stem}_depth.png" names files beside each picture, "depth/{stem}_z.png" files in a
-            folder, and {stem:rgb=depth} replaces a part of the name. None: no files.
+            within 20 ms of theirs; a .txt file with a picture and its map in each line; or a
+            pattern with {stem}, the name of a picture without its end: "{stem}_depth.png" beside
+            each picture, "depth/{stem}_z.png" in a folder. {stem:rgb=depth} replaces a part.
         exclude: folders whose files are no pictures, such as those of the run and of its labels.
 
     Returns:
-        The pictures in the order of their names. A missing map is named without its end, and fails
-        when it is read.
+        The pictures in the order of their names. A missing map fails when it is read.
 
     Raises:
         ValueError: if there are no pictures, or none of them has distances.
@@ -144,9 +137,7 @@ def there(path: Path) -> str:
 def left_out(
     pictures: Path, distance: str | Path | None = None, *, exclude: Iterable[str | Path | None] = ()
 ) -> str:
-    """Numbers and cures of pictures in formats that are not read, in words; "" for none. Arguments
-    are those of `find_items`.
-    """
+    """Numbers and cures of pictures in formats that are not read, in words; as `find_items`."""
     endings = tuple(end for ends in _UNREAD.values() for end in ends)
     paths = _inside(pictures, [*exclude, distance], endings) if pictures.is_dir() else ()
     counts = Counter(path.suffix.lower() for path in paths)
@@ -171,8 +162,7 @@ def _inside(
 
 def _files(folder: Path, paths: Iterable[Path], excluded: frozenset[str]) -> Iterator[Path]:
     """Files of the paths in a folder and of its subfolders, but for excluded ones, those of runs,
-    those that may not be read, and names that begin with a dot. A link is followed, unless it leads
-    to a folder that it lies in.
+    and names that begin with a dot. A link is followed, unless to a folder that it lies in.
     """
     excluded |= {os.path.realpath(folder)}
     for path in paths:
@@ -189,7 +179,6 @@ def _files(folder: Path, paths: Iterable[Path], excluded: frozenset[str]) -> Ite
 
 
 def _times_in(folder: Path) -> list[tuple[float, Path]]:
-    """Maps in a folder by the times that their names say, in order."""
     files = [file for file in folder.glob("*.*") if file.suffix.lower() in MAP_ENDINGS]
     return sorted((time, file) for file in files if (time := time_of(file.name)) is not None)
 
@@ -205,11 +194,9 @@ def _nearest(path: Path, maps: Sequence[tuple[float, Path]]) -> tuple[float, Pat
 
 def _with_nearest(items: Sequence[Item]) -> list[Item]:
     """The items with maps of the nearest times, where no map in a folder has a picture's name."""
-    times_in, named = cache(_times_in), set()
-    for item in items:
-        if item.distance and item.distance.is_file():
-            named.add(item.distance.parent)
-    nearest = []
+    times_in, nearest = cache(_times_in), []
+    maps = (item.distance for item in items)
+    named = {file.parent for file in maps if file and file.is_file()}
     for item in items:
         file = item.distance
         if file and file.parent not in named:
@@ -229,23 +216,19 @@ def _listed(file: Path, pictures: Sequence[Path], files: Files) -> dict[Path, Pa
     """The maps of pictures in a list, of which a line names both, the map first or last in all."""
     pairs = []
     for line in file.read_text(encoding="utf-8-sig").splitlines():
-        words = [
-            w for w in re.split(r"[\s,;]+", line) if w.lower().endswith((*ENDINGS, *MAP_ENDINGS))
-        ]
+        words = [w for w in re.split(r"[\s,;]+", line) if w.lower().endswith(_LISTED_ENDINGS)]
         pairs += [words] if len(words) == 2 else []
     if not (places := matched([first for first, _ in pairs], pictures)):
         pairs = [words[::-1] for words in pairs]
         places = matched([first for first, _ in pairs], pictures)
-    paths = {
-        picture: min((pairs[place] for place in of_picture), key=_delay)[1]
-        for picture, of_picture in places.items()
-    }
-    maps = {p: files.below(file.parent, path) or file.parent / path for p, path in paths.items()}
-    return {picture: file / picture.name for picture in pictures} | maps
+    maps = {picture: file / picture.name for picture in pictures}
+    for picture, lines in places.items():
+        _, path = min((pairs[line] for line in lines), key=_delay)
+        maps[picture] = files.below(file.parent, path) or file.parent / path
+    return maps
 
 
 def _map(distance: str | Path | None, path: Path, name: str, files: Files) -> Path | None:
-    """File of the distances of a picture, by `distance` of `find_items`."""
     if distance is None or Path(distance).is_file():
         return None if distance is None else Path(distance)
     pattern = str(distance)

@@ -1,8 +1,7 @@
 """Labels of pictures: found, judged by the contrast left of each object, and written where trainers
-look.
+look. A format is a class of `Labels` in a file of its own, named in `formats.py`.
 
-A format is a class of `Labels` in a file of its own, named in `formats.py`. Nothing else knows
-formats. This file loads neither NumPy nor PyTorch, as command lines ask formats what they read.
+This file loads neither NumPy nor PyTorch, as command lines ask formats what they read.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -10,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
-from uwaug._support.atomic import written_whole
+from uwaug._support.atomic import write_whole
 from uwaug.files.paths import Files
 from uwaug.files.record import digest
 
@@ -21,21 +20,15 @@ if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
+# of an object in its picture: the id of a COCO annotation, a line of a YOLO file or an object of a
+# VOC file counted from 1, a value of a mask
 Key = int | str
-"""Key of an object in its picture: the id of a COCO annotation, a line of a YOLO file or an object
-of a VOC file counted from 1, a value of a mask.
-"""
-
-Entry = dict[str, Any]
-"""An object of JSON or YAML."""
-
+Entry = dict[str, Any]  # an object of JSON or YAML
 _SAMPLE_FILES = 16  # files of labels by which a format is recognised
 
 
 class Judged(NamedTuple):
-    """An object with the share of contrast that is left of it, 0…1; `kept` is True if its label is
-    kept.
-    """
+    """An object with the share of contrast that is left of it, 0…1."""
 
     key: Key
     contrast: float
@@ -44,25 +37,16 @@ class Judged(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """Labels of the pictures of a run. A picture's `name` is its path below the folder of pictures.
+    """Labels of the pictures of a run."""
 
-    Attributes:
-        reads: files or folders of the format, in words.
-        path: file or folder of the labels.
-        of: entry of each picture that has labels, by its name.
-    """
-
-    reads: ClassVar[str]
-    path: Path
-    of: Mapping[str, Any]
+    reads: ClassVar[str]  # files or folders of the format, in words
+    path: Path  # file or folder
+    of: Mapping[str, Any]  # entry of each picture that has labels, by the name of its `Item`
 
     @classmethod
     def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
         """Open the labels at a path if they are of this format and belong to any of the pictures;
-        else return the reason in words, or "".
-
-        Raises:
-            ValueError: if something is missing without which they cannot be read.
+        else return the reason in words, or "". A ValueError if they cannot be read.
         """
         raise NotImplementedError
 
@@ -75,10 +59,8 @@ class Labels:
         raise NotImplementedError
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
-        """Objects of a picture that has labels, with their pixels, in the file's order.
-
-        Raises:
-            ValueError: if a label is malformed; the error names the file and the object.
+        """Objects of a picture that has labels, with their pixels, in the file's order. A
+        ValueError names the file and the object of a malformed label.
         """
         raise NotImplementedError
 
@@ -94,25 +76,17 @@ class Labels:
         """Write the labels of one picture to the folder of the run, without the dropped ones."""
 
     def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
-        """Files of all pictures together, if the format has such, by their names in the folder of
-        the run; and notes.
-        """
+        """Files of all pictures together, by their names in the folder of the run; and notes."""
         return {}, []
 
 
 @dataclass(frozen=True, eq=False)
 class Folder(Labels):
-    """Labels in a folder with a file for each picture.
+    """Labels in a folder with a file for each picture."""
 
-    Attributes:
-        end: end of the files' names.
-        folders: names of folders of labels beside those of pictures; they are written to the first.
-        pictures: name of the folder that pictures are written to.
-    """
-
-    end: ClassVar[str]
-    folders: ClassVar[tuple[str, ...]] = ("labels",)
-    pictures: ClassVar[str] = "images"
+    end: ClassVar[str]  # of the files' names
+    folders: ClassVar[tuple[str, ...]] = ("labels",)  # beside the pictures'; the first is written
+    pictures: ClassVar[str] = "images"  # folder that pictures are written to
     of: Mapping[str, Path]
 
     @classmethod
@@ -170,7 +144,9 @@ class Folder(Labels):
     def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
         if source := self.of.get(name):
             (path,) = self.files(place, out)
-            write_labels(path, self.without(dropped, source, place), source)
+            if path.exists() and path.samefile(source):
+                raise ValueError(f"{path} is read, and would be written over: another folder?")
+            write_whole(path, self.without(dropped, source, place))
 
 
 def judged(labels: Labels, name: str, contrast: "Tensor", limit: float | None) -> list[Judged]:
@@ -195,12 +171,3 @@ def require_size(file: Path, stated: "Size", size: "Size") -> None:
         cure = "exchange width and height there, if its objects are upright; else turn the pixels"
         got = f"{got}, as EXIF has turned it: {cure} of the picture and take EXIF from it"
     raise ValueError(got)
-
-
-def write_labels(path: Path, content: bytes, source: Path | None = None) -> None:
-    """Write a file, whole or not at all; refuse to write over the labels that it comes from."""
-    if source is not None and path.exists() and path.samefile(source):
-        raise ValueError(f"{path} is read, and would be written over: choose another folder")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(path) as part:
-        part.write_bytes(content)

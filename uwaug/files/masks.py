@@ -26,14 +26,10 @@ class Masks(Folder):
 
     The value of a colour is red·65536 + green·256 + blue, but for greys. 0 is background. 255
     beside small values marks pixels to ignore.
-
-    Attributes:
-        ignored: values of pixels that are no object, which stay as they are.
-        has_255: True if the samples have 255 beside small values, which is told.
     """
 
-    ignored: frozenset[Key] = frozenset({0, _IGNORED_COLOUR})
-    has_255: bool = False
+    ignored: frozenset[Key] = frozenset({0, _IGNORED_COLOUR})  # values that stay as they are
+    has_255: bool = False  # beside small values in the samples, which is told
 
     reads = "a folder of .png masks"
     end = ".png"

@@ -9,10 +9,7 @@ from itertools import takewhile
 from pathlib import Path
 from urllib.parse import unquote
 
-PICTURES = ("images", "JPEGImages")
-"""Folders of pictures, beside which data sets have folders of labels or distances."""
-
-# names of folders for a split
+PICTURES = ("images", "JPEGImages")  # folders, beside which data sets have labels or distances
 _SPLIT = re.compile(r"(?:obj_)?(train|val|test)(?:ing|id|idation)?(?:_?(?:data|set))?[\d_]*")
 _NUMBER = re.compile(r"\d{2,}")
 _ABSOLUTE = re.compile(r"[/\\]|\w:")
@@ -46,9 +43,8 @@ def normal(name: str) -> str:
 
 
 def aliases(name: str, *folders: str) -> list[str]:
-    """Paths of a picture in a folder of labels or distances, which lies beside the folder of
-    pictures, or above both. images/train/1.png may be train/1.png there, or have one of `folders`
-    in place of "images".
+    """Paths of a picture in a folder of labels or distances, beside the folder of pictures or above
+    both. images/train/1.png may be train/1.png there, or have one of `folders` for "images".
     """
     parts = name.split("/")
     paths = [name, *(f"{folder}/{name}" for folder in folders)]
@@ -113,20 +109,14 @@ class Files:
 def matched(
     lines: Sequence[str], pictures: Sequence[Path], *, whole: bool = False
 ) -> dict[Path, list[int]]:
-    """The places of the lines that are paths of pictures, also on another machine. A line is of the
-    picture with which it has the longest end in common, and a picture takes its longest line.
+    """The places of the lines that are paths of pictures, also on another machine; refuses a line
+    that may be two pictures, and a picture that may be two lines.
 
-    They share the name and a folder at least. What comes before is not of another split, nor of
+    A line is of the picture with which it has the longest end in common, the name and a folder at
+    least, and a picture takes its longest line. What comes before is not of another split, nor of
     another number, as in scene0000_00 and scene0001_00; nor does it differ in folders that other
-    lines name right.
-
-    Args:
-        lines: paths.
-        pictures: pictures.
-        whole: share all of a path that is not absolute; folders of pictures may be left out.
-
-    Raises:
-        ValueError: if a line may be two pictures, or a picture two lines.
+    lines name right. `whole`: they share all of a path that is not absolute, but for folders of
+    pictures.
     """
     left_out = PICTURES if whole else ()
     named = defaultdict(list)

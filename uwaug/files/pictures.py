@@ -20,14 +20,9 @@ from uwaug._support.extras import require
 from uwaug._support.types import ColorSpace
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 
-ENDINGS = (".npy", ".exr", ".tif", ".tiff", ".png", ".jpg", ".jpeg")
-"""Ends of the names of pictures."""
-
+ENDINGS = (".npy", ".exr", ".tif", ".tiff", ".png", ".jpg", ".jpeg")  # of pictures
 MAP_ENDINGS = (".npy", ".npz", ".exr", ".pfm", ".tif", ".tiff", ".png")
-"""Ends of the names of distance maps."""
-
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Units of distance, m."""
 
 _PFM = re.compile(rb"(P[Ff])\s+(\d+)\s+(\d+)\s+(\S+)(?:\r\n|\s)")  # colour or grey, size, scale
 _BIT_DEPTH = 24  # place in a PNG of the byte with the number of bits of a channel
@@ -38,17 +33,11 @@ _SAME_LEVELS = 2  # by which profiles of sRGB differ, of 255
 
 
 class Picture(NamedTuple):
-    """A picture in a file.
+    """A picture in a file."""
 
-    Attributes:
-        image (3xHxW): its pixels, upright, see `read_picture`.
-        orientation: that of the file by EXIF: 1 is upright, 2…8 were turned or mirrored.
-        profile: colour profile by which it was converted to sRGB; empty without one.
-    """
-
-    image: Tensor
-    orientation: int
-    profile: bytes
+    image: Tensor  # 3xHxW, upright, see `read_picture`
+    orientation: int  # of the file by EXIF: 1 is upright, 2…8 were turned or mirrored
+    profile: bytes  # of colours, by which it was converted to sRGB; empty without one
 
 
 def read_picture(
@@ -59,21 +48,17 @@ def read_picture(
     Args:
         path: a PNG, JPEG or TIFF file of 8 or 16 bits; or a .npy (HxWx3) or .exr file, which may
             also hold floating-point numbers, 0…1. EXR and PNG of 16 bits need the extra "files".
-        color_space: colour space of the result. An EXR holds linear light; all other files are
-            taken as they are, but that a colour profile of RGB, such as Display P3, is converted to
-            sRGB.
+        color_space: colour space of the result. An EXR holds linear light; a colour profile, such
+            as Display P3, is converted to sRGB.
         background: colour behind what is transparent, such as "white" or "#0a3040"; None refuses
             transparent pictures.
 
     Returns:
-        3xHxW: uint8 (0…255) for 8 bits, else float32 (0…1 for 16 bits, unchanged floating point).
-        It is upright by EXIF.
+        3xHxW, upright by EXIF: uint8 (0…255) for 8 bits, else float32 (0…1 for 16 bits).
 
     Raises:
-        ValueError: if it has another format, a palette, other channels or, without a background,
-            an alpha that is not opaque; if it holds several pictures or cannot be decoded; the
-            error names the file.
-        OSError: if there is no such file, or it cannot be read.
+        ValueError: if it is no such picture; the error names the file.
+        OSError: if it cannot be read.
     """
     return open_picture(Path(path), color_space, background).image
 
@@ -85,8 +70,7 @@ def open_picture(
     file = _decoded(path, "RGB")
     values, profile = file.values, b""
     if values.dtype not in (np.uint8, np.uint16) and values.dtype.kind != "f":
-        got = f"expected 8 or 16 bits without sign, or floating point, got {values.dtype}"
-        raise ValueError(f"{path}: {got}")
+        raise ValueError(f"{path}: expected 8 or 16 bits, or floating point, got {values.dtype}")
     if values.ndim == 2 and values.dtype.kind == "f":
         raise ValueError(f"{path}: one channel of floating point is a map, and no picture")
     if values.ndim == 2 or (values.ndim == 3 and values.shape[2] == 2):  # grey, with alpha
@@ -101,9 +85,8 @@ def open_picture(
     if values.ndim == 3 and values.shape[2] == 4 and background is not None:
         values = _before(background, values, is_light)
     if values.ndim != 3 or values.shape[2] != 3:
-        got = f"expected a picture in colour (H, W, 3), or grey (H, W), got {values.shape}"
         cure = "save it as RGB, without alpha, or give a background (--set background=white)"
-        raise ValueError(f"{path}: {got}: {cure}")
+        raise ValueError(f"{path}: expected (H, W, 3) or (H, W), got {values.shape}: {cure}")
     if values.dtype == np.uint16:
         values = values / np.float32(65535)
     elif values.dtype != np.uint8:
@@ -120,25 +103,23 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
         path: a .npy (HxW), .npz (one array, or one called Z, depth or distance), .exr (one channel,
             or one called Z or depth), PFM, TIFF or PNG file. Axes of length 1 count as none, and
             equal channels as one. The scale in a PFM tells the order of its bytes alone.
-        unit: unit of the numbers in the file: "m", "cm", "mm", or the metres that 1 stands for.
-            None: they are relative or inverse; unsigned whole numbers of 8 and 16 bits then become
-            shares of the largest of their type.
+        unit: "m", "cm", "mm", or the metres that 1 stands for. None: the numbers are relative or
+            inverse; those of 8 and 16 bits become shares of the largest of their type.
 
     Returns:
-        1xHxW, float32: m, or unchanged numbers without unit. Unknown pixels (0, negative, NaN)
-        stay; with a unit, the largest number of a type becomes NaN, too.
+        1xHxW, float32: m, or numbers without unit. Unknown pixels (0, negative, NaN) stay; with a
+        unit, the largest number of a type becomes NaN, too.
 
     Raises:
-        ValueError: if channels differ; with a unit, if the file has 8 bits, which are too few, or a
-            median beyond 1000 m; if the unit is unknown; if the file cannot be decoded.
-        OSError: if there is no such file, or it cannot be read.
+        ValueError: if channels differ, the unit is unknown, or the file cannot be decoded; with a
+            unit, if it has 8 bits, or a median beyond 1000 m.
+        OSError: if it cannot be read.
     """
     values = _decoded(Path(path), "Z").values
     if values.ndim == 3 and all(np.array_equal(v, values[..., 0].T, True) for v in values.T):
         values = values[..., 0]
     if values.ndim != 2:
-        cure = "a map in colours is no distance: save it in grey"
-        raise ValueError(f"{path}: expected one channel (H, W), got {values.shape}: {cure}")
+        raise ValueError(f"{path}: expected one channel (H, W), got {values.shape}: make it grey")
     if unit is None:
         white = np.iinfo(values.dtype).max if values.dtype in (np.uint8, np.uint16) else 1
         return torch.from_numpy((values / white).astype(np.float32))[None]
@@ -243,12 +224,8 @@ def write_picture(
         path: file to write or replace; the end of its name is the format.
         image (3xHxW tensor): uint8 (0…255), written in 8 bits; or floating point (0…1), written in
             16 bits to PNG and TIFF, as float32 to .npy and .exr. These two hold a map (1xHxW), too.
-        quality: quality of JPEG, 1…100; colours are not subsampled.
+        quality: quality of JPEG, 1…100.
         color_space: colour space of the image. An EXR gets linear light.
-
-    Raises:
-        ValueError: if the end of the name is unknown.
-        OSError: if it cannot be written.
     """
     end = _ending(Path(path))
     values = image.detach().cpu().permute(1, 2, 0).contiguous().numpy()
@@ -290,18 +267,13 @@ def _ending(path: Path, endings: tuple[str, ...] = ENDINGS) -> str:
 
 
 class _File(NamedTuple):
-    """What a file holds: numbers (HxW or HxWxC), upright; its orientation, its profile of colours,
-    and whether these are multiplied by alpha.
-    """
-
-    values: NDArray[Any]
+    values: NDArray[Any]  # HxW or HxWxC, upright
     orientation: int = 1
     profile: bytes = b""
-    is_multiplied: bool = False
+    is_multiplied: bool = False  # colours by alpha
 
 
 def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> _File:
-    """A file's content, without an opaque alpha."""
     end = _ending(path, ENDINGS if channels == "RGB" else (*MAP_ENDINGS, ".jpg", ".jpeg"))
     require_regular(path)
     try:
@@ -378,8 +350,7 @@ def _of_pillow(path: Path) -> _File:
         turn = int(exif.get(ExifTags.Base.Orientation, 1))
         interop = exif.get_ifd(ExifTags.IFD.Interop)
         if interop.get(ExifTags.Interop.InteropIndex) == "R03" and not profile:
-            got = "says in its EXIF that it is in Adobe RGB, without a profile"
-            raise ValueError(f"{got}: convert it first, or add the profile")
+            raise ValueError("is in Adobe RGB, without a profile: convert it first, or add one")
         return _File(_upright(values, turn), turn, profile)
 
 
@@ -402,16 +373,16 @@ def _of_tiff(path: Path) -> _File:
 
 
 def _of_exr(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
-    """Colours or distances of a file with parts and layers, by the names that renderers give them.
-    Layers of denoisers do not count, nor the Z of a vector X, Y, Z.
+    """Colours or distances of a file with parts and layers, by the names that renderers give them,
+    without layers of denoisers and the Z of a vector X, Y, Z.
     """
     (exr,) = require("files", "OpenEXR")
     parts = exr.File(str(path)).parts
     primaries = [part.header.get("chromaticities", _REC_709) for part in parts]
     if channels == "RGB" and not np.allclose(primaries, _REC_709, atol=2e-3):
-        cure = "convert it first, as by oiiotool --colorconvert"
         got = ", ".join(f"{number:.4g}" for number in primaries[0])
-        raise ValueError(f"its primaries are {got}, and not those of Rec. 709: {cure}")
+        cure = "convert it first, as by oiiotool --colorconvert"
+        raise ValueError(f"primaries must be those of Rec. 709, got {got}: {cure}")
     layers = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
     colours = [name for name in layers if layers[name].ndim == 3]
     if channels == "RGB":

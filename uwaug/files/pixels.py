@@ -1,7 +1,5 @@
-"""Pixels of a picture that an object covers.
-
-Positions are continuous, from the picture's upper left corner: the pixel in row i and column j
-covers j ≤ x < j + 1, i ≤ y < i + 1.
+"""Pixels of a picture that an object covers. The pixel in row i and column j covers j ≤ x < j + 1,
+i ≤ y < i + 1.
 """
 
 import math
@@ -12,11 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Pixels = NDArray[np.bool_] | tuple[slice, slice]
-"""Index of an object's pixels in a map (HxW)."""
-
-Size = tuple[int, int]
-"""Height and width, px."""
+Pixels = NDArray[np.bool_] | tuple[slice, slice]  # index in a map (HxW)
+Size = tuple[int, int]  # height and width, px
 
 
 def of_box(x1: float, y1: float, x2: float, y2: float, size: Size) -> Pixels:

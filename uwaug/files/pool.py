@@ -25,11 +25,7 @@ def on_processes(work: Any, jobs: Iterable[Any], workers: int) -> Iterator[Any]:
     """Results of jobs, in their order; with one worker, by this process.
 
     Decoders of damaged files and a full memory can make a process die. Then each job under way is
-    done once more, in a process for it alone.
-
-    Args:
-        work: callable for one job, which can be pickled; `work.died(job)` gives the result of a job
-            that its process has died over.
+    done once more, in a process for it alone; `work.died(job)` gives the result if that dies, too.
     """
     if workers == 1:
         with one_thread():

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -29,25 +29,23 @@ def prepare(
     recipe: Recipe, items: Sequence[Item], references: Sequence[Path] = ()
 ) -> tuple[Recipe, list[str]]:
     """Look at eight pictures of a run, or the middle frames of eight films, before it begins.
-    Refuses a run if most of these maps are refused, with the reason for the first. Pictures that
-    cannot be read are left to the run, which names them.
+    Refuses a run if most of their maps are refused. Pictures that cannot be read are left to it.
 
     Args:
         recipe, items: as for `degrade`.
-        references: photographs taken under water that pictures shall look like, see `uwaug.like`
-            and `references_of`.
+        references: photographs taken under water that pictures shall look like (`uwaug.like`).
 
     Returns:
-        The recipe to run, which draws waters like those of the references; and sentences to tell:
-        doubts about the maps, see `uwaug.distance.doubts`, and the nearness of the waters.
+        The recipe to run, which draws waters like those of the references; and sentences to tell.
     """
-    sentences = [*filter(None, [delay_of(items)])]
+    told = [delay_of(items)]
     if recipe.sequence:  # the frames of a film are one witness, and in one water
         frames = frames_of(items, recipe.rig)
         items = list(dict.fromkeys(frame.candidates[0] for frame in frames.values()))
-        sentences += filter(None, [rigs_of(frames)])
+        told.append(rigs_of(frames))
     else:
-        sentences += filter(None, [unjoined(items)])
+        told.append(unjoined(items))
+    sentences = [*filter(None, told)]
     samples = _samples(recipe, items[:: -(-len(items) // _SAMPLE_COUNT) or 1])
     reasons = [sample.reason for sample in samples if sample.reason]
     sentences += _doubts(recipe, samples)
@@ -60,7 +58,7 @@ def prepare(
         raise ValueError("; ".join([reasons[0], *sentences]))
     if grey := [s.item.name for s in samples if bool((s.image == s.image[:1]).all())]:
         got = f"{len(grey)} of {len(samples)} pictures looked at are grey, such as {grey[0]}"
-        cure = "R = G = B, they come out in colour; if they are maps, name them by --distance"
+        cure = "they come out in colour; if they are maps, name them by --distance"
         sentences.append(f"{got}: {cure}")
     if not references:
         return recipe, sentences
@@ -68,9 +66,8 @@ def prepare(
     images, maps = [s.image for s in accepted], [s.z for s in accepted if s.z is not None]
     with one_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the sentences say it all
-        augment, seed = recipe.transform, recipe.seed
-        photographs = map(read_picture, references)
-        transform = like(photographs, images, maps or None, augment=augment, seed=seed)
+        options: Any = {"augment": recipe.transform, "seed": recipe.seed}
+        transform = like(map(read_picture, references), images, maps or None, **options)
     nearness = transform.nearness
     assert nearness is not None
     count = f"{len(references)} photographs" if references[1:] else references[0]
@@ -89,12 +86,10 @@ def references_of(paths: Sequence[Path]) -> list[Path]:
 
 
 class _Sample(NamedTuple):
-    """A picture (3xHxW), its map (1xHxW), and the reason for which that is refused, or ""."""
-
     item: Item
-    image: Tensor
-    z: Tensor | None
-    reason: str
+    image: Tensor  # 3xHxW
+    z: Tensor | None  # map, 1xHxW
+    reason: str  # for which it is refused
 
 
 def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
@@ -113,8 +108,7 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
                 z = recipe.read_map(item)
                 if z is not None:
                     (draw,) = recipe.drawn(item.name, 0)["samples"]
-                    view = recipe.transform.view
-                    rays = {"focal_px": view.focal(image.shape[-1]), "center": view.center}
+                    rays = recipe.transform.view.planar(image.shape[-1])
                     source.metres(z, image, draw["distance"], **rays)
                     if isinstance(source, Metres) and source.holes == "error":
                         _require_range(z)
@@ -127,9 +121,7 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
 
 
 def _require_range(z: Tensor) -> None:
-    """Refuse a map with a number that a depth camera may write where it has seen nothing. In a
-    training it is only warned of.
-    """
+    """Refuse a number that a depth camera may write where it has seen nothing."""
     mask = of_metres(z) & (z < NO_RANGE)
     if bool(mask.any()):
         raise ValueError(in_words(z, mask))

@@ -29,16 +29,9 @@ _SETTINGS = {
 def on_ray(work: Any, jobs: Sequence[Any], address: str, workers: int) -> Iterator[Any]:
     """Results of jobs, in their order, as of `uwaug.files.pool.on_processes`.
 
-    Args:
-        work, jobs: as of `on_processes`. Every machine needs the files that jobs name.
-        address: "local" starts Ray on this machine, and ends it with the run; "auto" finds a
-            cluster that this machine is part of; or host:port. A Ray that was started in this
-            process is used first.
-        workers: number of cores for "local".
-
-    Raises:
-        ImportError: if Ray is not installed.
-        OSError: if nothing answers at the address, or Ray fails.
+    A Ray of this process is used first. Else the address "local" starts one with so many `workers`,
+    and ends it with the run; "auto" finds a cluster that this machine is part of; or host:port. An
+    OSError tells that nothing answers there, or that Ray fails.
     """
     ray, data, pa = require("ray", "ray", "ray.data", "pyarrow")
     logging.getLogger("ray.data").setLevel(logging.ERROR)
@@ -82,8 +75,7 @@ def _connected(ray: Any, address: str, workers: int) -> Iterator[None]:
     try:
         ray.init(address, **options)
     except (OSError, RuntimeError, ValueError) as error:
-        cure = "is Ray running there? local starts it on this machine"
-        raise ConnectionError(f"no Ray at {address}: {error}: {cure}") from None
+        raise ConnectionError(f"no Ray at {address}: {error}: local starts it here") from None
     try:
         yield
     finally:

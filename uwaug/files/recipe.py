@@ -17,8 +17,7 @@ from uwaug.formation.colour import linear_to_srgb
 from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
 
-MAP_FORMATS = ("npy", "exr")
-"""Formats of maps: float32, the only ones that hold light below 0 and above 1 and any distance."""
+MAP_FORMATS = ("npy", "exr")  # float32, for light below 0 and above 1 and any distance
 
 
 @plain
@@ -32,26 +31,19 @@ class Recipe:
         unit: unit of distances in files, see `read_distance`, where the transform takes metres.
         seed: seed of all random numbers.
         variants: number of variants of each picture.
-        labels: file or folder of labels, see `open_labels`; None without labels.
-        min_contrast: least contrast left of an object, 0…1, for its label to be kept; None keeps
-            all labels.
+        labels: file or folder of labels, see `open_labels`.
+        min_contrast: least contrast left of an object, 0…1, for its label to be kept.
         sequence: True if the pictures of a folder are frames of one film, in the order of their
-            names: one draw for all, settled on one of them (see `RandomUnderwater.for_clip`).
-        rig: folders that are cameras of one rig and share a film. "auto": folders whose names
-            differ as those of cameras do (left and right, cam0 and cam1, image_2 and image_3) and
-            whose frames have the same names, or times that overlap; "none": no folders; or their
-            names with commas between.
-        drift: drift of a sequence's field and snow, m a frame; .004 is .1 m/s at 25 frames a
-            second.
+            names: one draw for all, settled on one of them.
+        rig: folders that are cameras of one rig and share a film: "auto", by the names of cameras
+            (left and right, cam0 and cam1) and of frames, or their times; "none"; or names with
+            commas between.
+        drift: drift of a sequence's field and snow, m a frame.
         motion: motion of its camera to the right, down and forward, m a frame; or, as "12px", to
             the right, by which what is at the median distance moves so many px to the left.
         quality: quality of JPEG, 1…100.
-        background: colour behind transparent pictures, see `read_picture`; None refuses them.
-        maps: format of maps of the truth (see `uwaug.transforms.truth.Truth`), "npy" or "exr",
-            written to the folder `maps` of the run; None for none.
-
-    Raises:
-        TypeError, ValueError: if a value does not suit.
+        background: colour behind transparent pictures, see `read_picture`.
+        maps: format of maps of the truth (see `uwaug.transforms.truth.Truth`), "npy" or "exr".
     """
 
     transform: RandomUnderwater
@@ -112,8 +104,8 @@ class Recipe:
             px = float(self.motion.removesuffix("px"))
             checks.within("motion", px)
         except ValueError:
-            wanted = "three numbers, m, or px as in 12px"
-            raise ValueError(f"motion must be {wanted}, got {self.motion!r}") from None
+            expected = "three numbers, m, or px as in 12px"
+            raise ValueError(f"motion must be {expected}, got {self.motion!r}") from None
         is_open = median >= checks.OPEN  # where nothing seems to move
         return 0.0 if is_open else px * median / self.transform.view.focal(width), 0.0, 0.0
 

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from uwaug._support.atomic import require_regular, written_whole
+from uwaug._support.atomic import require_regular, write_whole
 
 # of every record
 _KEYS = ("uwaug", "torch", "numba", "name", "variant", "picture", "distance")
@@ -18,18 +18,11 @@ def record_path(result: Path) -> Path:
 
 def write_record(path: Path, record: dict[str, Any]) -> None:
     """Write a record, whole or not at all."""
-    with written_whole(path) as part:
-        text = json.dumps(record, indent=1, ensure_ascii=False)
-        part.write_text(f"{text}\n", encoding="utf-8")
+    write_whole(path, f"{json.dumps(record, indent=1, ensure_ascii=False)}\n".encode())
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Read a record.
-
-    Raises:
-        ValueError: if the file is no record; the error names it.
-        OSError: if it cannot be read.
-    """
+    """Read the record of a result; a ValueError if the file is none."""
     require_regular(path)
     try:
         record = json.loads(path.read_text(encoding="utf-8"))

@@ -25,27 +25,22 @@ from uwaug.files.sheet import drawn_sheet
 from uwaug.files.summary import Result, Summary
 from uwaug.transforms.random_water import Reached
 
-Progress = Callable[[int, int], None]
-"""Function of the numbers of finished and of all pictures, called first and after each picture."""
+Progress = Callable[[int, int], None]  # of the numbers of finished and of all pictures
 
 
 class Job(NamedTuple):
-    """A picture of a run; `place` is the path of its result below the folder of the run."""
+    """A picture of a run."""
 
     item: Item
-    place: str
+    place: str  # path of its result below the folder of the run
     variant: int = 0
     labels: Labels | None = None
     frame: Frame | None = None
 
 
 class Work:
-    """The work of a run on a picture, in any process. A failure is a result, too: nothing raises. A
-    subclass says what a result follows from, makes it, and writes it.
-
-    Args:
-        out: folder of the run.
-        made_with: what all results follow from, as records and the manifest have it.
+    """The work of a run on a picture, in any process. A failure is a result, too: nothing raises.
+    `made_with` is what all results follow from, as records and the manifest have it.
     """
 
     def __init__(self, out: Path, made_with: Mapping[str, Any]) -> None:
@@ -112,7 +107,6 @@ class Work:
         record = {**sources, **entries}
         # the result comes last: its labels are there wherever it is, and its record says of both
         # that they are a run's
-        path.parent.mkdir(parents=True, exist_ok=True)
         for file in files:
             file.unlink(missing_ok=True)
         write_record(record_path(path), record)
@@ -159,20 +153,14 @@ def run(
     beside: Sequence[Path] = (),
     progress: Progress | None = None,
 ) -> Summary:
-    """Do the work on each job, in a folder that is the run's own.
-
-    Args:
-        work, jobs: the work, and the pictures.
-        labels: labels of all pictures.
-        workers, resume, force, ray, sheet, beside, progress: as for `degrade`.
-    """
+    """Do the work on each job, in a folder that is the run's own, with the options of `degrade`."""
     out, inputs = work.out, require_apart(work, jobs, labels, sheet=sheet)
     workers = max(1, min(workers or os.cpu_count() or 1, len(jobs)))
     files: list[str] = []
     for job in jobs:
         path = out / job.place
-        files += [file.relative_to(out).as_posix() for file in (path, record_path(path))]
-        files += [file.relative_to(out).as_posix() for file in work.files(job)]
+        own = (path, record_path(path), *work.files(job))
+        files += [file.relative_to(out).as_posix() for file in own]
     with held(out) as say_alive:
         folder = RunFolder(out, work.made_with, files, inputs, resume=resume, force=force)
         for parent in {out, *((out / file).parent for file in files)}:
@@ -207,9 +195,7 @@ def run(
 def require_apart(
     work: Work, jobs: Sequence[Job], labels: Labels | None = None, *, sheet: bool = False
 ) -> set[str]:
-    """Refuse two results in one file, and to write over a file that is read. Gives the real paths
-    of all files that are read.
-    """
+    """Refuse two results in one file, and to write over files that are read: their real paths."""
     read = [file for job in jobs for file in (job.item.picture, job.item.distance)]
     if labels is not None:
         read += [labels.path, *(entry for entry in labels.of.values() if isinstance(entry, Path))]

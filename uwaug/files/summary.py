@@ -24,35 +24,22 @@ ASKED = {
 
 
 class Result(NamedTuple):
-    """Result of a picture.
-
-    Attributes:
-        item, variant: the picture.
-        place: path of the written file below the folder of the run.
-        status: "written"; "skipped", as the same was made before; "failed".
-        contrast: mean share of contrast that is left, 0…1; None if it failed, and for maps.
-        objects: labelled objects of the picture.
-        reached: changes that reached the wanted contrast; None without one.
-        asked: keys of `ASKED` that apply.
-        reason: reason of a failure.
-    """
+    """Result of a picture."""
 
     item: Item
     variant: int
-    place: str
-    status: Literal["written", "skipped", "failed"]
-    contrast: float | None = None
-    objects: Sequence[Judged] = ()
-    reached: Reached | None = None
-    asked: Sequence[str] = ()
-    reason: str = ""
+    place: str  # path of the written file below the folder of the run
+    status: Literal["written", "skipped", "failed"]  # skipped, as the same was made before
+    contrast: float | None = None  # mean share that is left, 0…1; None if it failed, and for maps
+    objects: Sequence[Judged] = ()  # that have labels
+    reached: Reached | None = None  # changes that reached the wanted contrast
+    asked: Sequence[str] = ()  # keys of `ASKED` that apply
+    reason: str = ""  # of a failure
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Result of a run: the `Result` of each picture, in the order of items and variants, and notes
-    on its labels and its folder.
-    """
+    """The results of a run in the order of items and variants, and notes on labels and folder."""
 
     results: Sequence[Result]
     notes: Sequence[str] = ()
@@ -72,16 +59,14 @@ class Summary:
 
     @property
     def blank(self) -> list[str]:
-        """Names of pictures with less than 3 % of the contrast left. Distances may be in another
-        unit, or the water too turbid.
-        """
+        """Names of pictures with less than 3 % of the contrast left."""
         shares = [(result.item.name, result.contrast) for result in self.results]
         return [name for name, share in shares if share is not None and share < FAINT]
 
     @property
     def odd(self) -> list[str]:
-        """Sentences on pictures that reach the wanted contrast by odd distances or contents, or do
-        not reach it, each after a name; see `RandomUnderwater`.
+        """Sentences on pictures that reach the wanted contrast in an odd way, or do not reach it,
+        each after a name.
         """
         pairs = [(result.item.name, result.reached) for result in self.results]
         return [f"{name}: {reached.odd}" for name, reached in pairs if reached and reached.odd]

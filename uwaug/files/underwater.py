@@ -48,8 +48,8 @@ def degrade(
     """Put pictures in files under water.
 
     Each picture gets a record beside it, from which `replay` makes it again; index.csv lists all.
-    The same recipe and name give the same bytes, whatever the number of workers, their order, and
-    interruptions. A picture that fails does not stop the others.
+    The same recipe and name give the same bytes, whatever the number of workers, and interruptions.
+    A picture that fails does not stop the others.
 
     Args:
         recipe: transform and options.
@@ -60,14 +60,11 @@ def degrade(
         force: remove first what an earlier run has written to `out`.
         sheet: draw some of the results on sheet.jpg.
         beside: real photographs to draw there, below them.
-        ray: address of a Ray cluster in place of processes: "local", "auto", or host:port. All its
-            machines must see the same folders.
-        progress: function that is called after each picture with the number of finished pictures
-            and of all.
+        ray: address of a Ray cluster in place of processes: "local", "auto", or host:port.
+        progress: function of the numbers of finished and of all pictures.
 
     Raises:
-        ValueError: if an option does not suit, labels belong to none of the pictures, two pictures
-            would be one file, or a file would be written over that is read.
+        ValueError: if options or labels do not suit, or files would be one, or written over.
         FileExistsError: if `out` holds anything but a run to `resume` or to redo by `force`, or
             another run is at work there.
         OSError: if `out` cannot be written.
@@ -77,8 +74,7 @@ def degrade(
     if cure_of(out.suffix) and not out.is_dir():
         raise ValueError(f"{out}: pictures are written as {', '.join(ENDINGS)}")
     if single and (len(items) * recipe.variants != 1 or recipe.labels or recipe.maps or sheet):
-        cure = "more pictures, labels, maps and sheets need a folder"
-        raise ValueError(f"{out} is a file, which is for one picture: {cure}")
+        raise ValueError(f"{out} is a file, which is for one picture and nothing else")
     if recipe.labels is not None:
         labels = open_labels(recipe.labels, items)
         masks = {entry for entry in labels.of.values() if isinstance(entry, Path)}
@@ -131,7 +127,7 @@ def replay(
     force: bool = False,
 ) -> None:
     """Make a picture again from its record, to the byte with the same versions of uwaug, PyTorch
-    and numba (or without it, as the record says) on the same kind of processor.
+    and numba on the same kind of processor; with others, it warns.
 
     Args:
         record: file beside a picture that a run has written.
@@ -139,11 +135,8 @@ def replay(
         picture, distance: the picture's sources, if they have moved.
         force: write over an existing file.
 
-    Warns:
-        UserWarning: if the record is of other versions.
-
     Raises:
-        ValueError: if the file is no record, or picture and distances do not suit or have changed.
+        ValueError: if the file is no record, or picture or distances have changed.
         FileExistsError: if `output` exists, without `force`.
         OSError: if a file cannot be read or written.
     """
@@ -177,11 +170,8 @@ def replay(
 
 
 def _labels_note(labels: Labels, items: Sequence[Item]) -> str:
-    """The sentence on the format of labels, and on the pictures that have some."""
     unlabelled = [item.name for item in items if item.name not in labels.of]
-    rest = ""
-    if unlabelled:
-        rest = f", not to {unlabelled[0]}" + " and others" * (len(unlabelled) > 1)
+    rest = f", not to {unlabelled[0]}" if unlabelled else ""
     count = len(items) - len(unlabelled)
     return f"labels, {labels.reads}, belong to {count} of {len(items)} pictures{rest}"
 
@@ -281,7 +271,6 @@ def _questions(
     z: Tensor | None,
     labels: Labels | None,
 ) -> list[str]:
-    """Keys of `ASKED` that apply to a picture."""
     source, image = transform.distance, picture.image
     may_be_12_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
     may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
@@ -295,15 +284,13 @@ def _questions(
 
 
 def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
-    """Refuse pictures without maps where a recipe needs them, and films with guessed distances."""
     source = recipe.transform.distance
     missing = next((item.name for item in items if item.distance is None), None)
     if missing and source.reads_maps:
         cure = "give --distance: files, metres, or made-up (MadeUp())"
         raise ValueError(f"distance is missing: {missing} has no file of it: {cure}")
     if recipe.sequence and isinstance(source, MadeUp):
-        cure = "give files of distances, or metres, such as 1:5"
-        raise ValueError(f"distance: made up from each frame, a film would flicker: {cure}")
+        raise ValueError("distance made up from each frame would flicker: give files, or metres")
 
 
 def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:

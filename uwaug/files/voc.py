@@ -42,8 +42,8 @@ class Voc(Folder):
             try:
                 x1, y1, x2, y2 = map(float, ends)
             except ValueError:
-                got = f"expected a bndbox of four numbers, got {ends}"
-                raise ValueError(f"{file}, object {number}: {got}") from None
+                place = f"{file}, object {number}"
+                raise ValueError(f"{place}: bndbox must be four numbers, got {ends}") from None
             yield number, of_box(x1 - 1, y1 - 1, x2, y2, size)
 
     def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:

@@ -14,10 +14,8 @@ if TYPE_CHECKING:
     from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
-# Files in which tools leave the names of classes, one a line.
-_CLASS_FILES = ("classes.txt", "obj.names", "_darknet.labels")
-# Keys of a data.yaml with the places of pictures.
-_PLACE_KEYS = ("train", "val", "validation", "test", "path", "download")
+_CLASS_FILES = ("classes.txt", "obj.names", "_darknet.labels")  # with a class in each line
+_PLACE_KEYS = ("train", "val", "validation", "test", "path", "download")  # of a data.yaml
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +25,11 @@ class Yolo(Folder):
     A line is `class cx cy w h`, with or without a confidence, or `class x1 y1 x2 y2 x3 y3 …` for a
     polygon. All but the class are shares of the picture's width or height. Where the data.yaml has
     `kpt_shape`, keypoints follow the box.
-
-    Attributes:
-        description: content of the data.yaml.
-        told: sentences on where classes are from.
-        splits: splits of each picture that the description names for it.
     """
 
-    description: Entry = field(default_factory=dict)
-    told: Sequence[str] = ()
+    description: Entry = field(default_factory=dict)  # content of the data.yaml
+    told: Sequence[str] = ()  # sentences on where classes are from
+    # those of each picture that the description names
     splits: Mapping[str, list[str]] = field(default_factory=dict)
 
     reads = "a folder of YOLO's .txt"
@@ -213,7 +207,6 @@ def _told(source: Path | None, classes: Entry, lists: Mapping[Path, list[str]]) 
 
 
 def _first(file: Path) -> list[float]:
-    """Numbers of the first object of a file; none without objects."""
     words = file.read_text(encoding="utf-8-sig").strip().partition("\n")[0].split()
     return [float(word) for word in words]
 

@@ -23,9 +23,7 @@ from uwaug.optics.curves import FARTHEST
 
 Places = NDArray[np.int64]
 
-BLOCKS = 10
-"""Blocks along the picture's short side; the residuals of one may depend on each other."""
-
+BLOCKS = 10  # blocks along the picture's short side; the residuals of one may depend on each other
 _MIN_PIXELS = 50  # usable pixels that a fit needs: three values of each for 12 to 17 numbers
 _MIN_SPAN = 0.03  # spread of the distances as a share of their median; less is one distance
 _SAME_PICTURE = 2e-3  # mean difference, as a share of the light, below which two pictures are one

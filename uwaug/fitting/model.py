@@ -248,9 +248,16 @@ class CoefficientModel(Model):
             rates, none = np.concatenate([beta, G]), np.zeros((3, 3))
             signal, veil = np.concatenate([signal, none], 1), np.concatenate([none, veil], 1)
             note = "fitted: direct light and veil, no forward scatter"
-        numbers = (np.array(number) for number in (b, law.scale, law.exponent))
-        arrays = zip(Medium.TENSORS, (beta, direct, rates, signal, veil, *numbers), strict=False)
-        return Medium.of_arrays(dict(arrays), law.law, note)
+        numbers = {"b_mean": b, "scale": law.scale, "exponent": law.exponent}
+        arrays = {
+            "beta": beta,
+            "direct_weights": direct,
+            "G": rates,
+            "signal_weights": signal,
+            "veil_weights": veil,
+            **{name: np.array(number) for name, number in numbers.items()},
+        }
+        return Medium.of_arrays(arrays, law.law, note)
 
     def picture(self, c: Coefficients, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""

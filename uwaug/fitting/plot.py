@@ -1,7 +1,7 @@
-"""Figures of fits: pictures observed and fitted, residuals by distance, the three curves."""
+"""Curves of a medium, and figures of fits: pictures, residuals by distance, the curves."""
 
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -11,6 +11,7 @@ from uwaug.fitting.model import COLOURS
 from uwaug.fitting.result import VISIBLE_LIGHT, Fit
 from uwaug.formation.colour import linear_to_srgb
 from uwaug.optics.curves import FARTHEST
+from uwaug.optics.medium import Medium
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,55 +20,60 @@ if TYPE_CHECKING:
 _INK, _GREY = "#1a1a1a", "#5a5a5a"
 _LEFT_OUT = 1.0  # value of pixels that the fit has left out: white
 _RGB = ("#c0392b", "#2e8b57", "#2a5caa")
-_WIDTH_IN, _ROW_IN = 14.0, 4.0  # inches: width of the figure, height of a row
-_LINE_LETTERS, _LINE_IN = 150, 0.22  # letters in a line of text, and its height in inches
+_WIDTH_IN, _ROW_IN = 14.0, 4.2  # inches: width of the figure, height of a row
+_LINE_LETTERS, _LINE_IN = 150, 0.18  # letters in a line of text, and its height in inches
 _CURVES = {
-    "transmission": "$T_β$   what is left of direct light",
-    "signal": "$T_G$   with light scattered forward",
-    "backscatter": "$V$   veil",
+    "transmission": ("-", "$T_β$  direct"),
+    "signal": ("--", "$T_G$  direct + forward"),
+    "backscatter": (":", "$V$  veil"),
 }
 
 
 def plot(fit: Fit) -> "Figure":
     """Draw the first picture of a fit where it has one, its residuals, and its curves."""
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    notes = "\n".join(textwrap.fill(note, _LINE_LETTERS) for note in fit.notes)
-    top = _LINE_IN * (notes.count("\n") + 4)
+    notes = [textwrap.fill(note, _LINE_LETTERS) for note in fit.notes]
+    words = "\n".join([f"A water from pictures: {fit.model}", *notes])
     has_pair = fit.pictures is not None and bool(fit.pictures.clean.any())
-    rows = [[*_CURVES]]
+    cells = 1 + bool(fit.remainder) + 2 * has_pair
+    rows = 1 + (cells > 2)
+    size = _WIDTH_IN, _ROW_IN * rows + _LINE_IN * (words.count("\n") + 2)
+    figure = Figure(size, dpi=100, layout=ConstrainedLayoutEngine(w_pad=0.15, h_pad=0.15))
+    figure.suptitle(words, x=0.2 / _WIDTH_IN, ha="left", fontsize=10, color=_INK, parse_math=False)
+    axes = [figure.add_subplot(rows, -(-cells // rows), i + 1) for i in range(cells)]
+    axes[-1].set_title("Curves of red, green and blue", loc="left", fontsize=12, color=_INK)
+    draw_curves(axes.pop(), fit.medium, 1.25 * fit.geometry.farthest, fit.geometry.farthest)
     if fit.remainder:
-        rows.insert(0, ["observed", "fitted", "residual"] if has_pair else ["residual"] * 3)
-    height = _ROW_IN * len(rows) + top
-    figure = Figure(figsize=(_WIDTH_IN, height), dpi=100, layout="constrained")
-    layout = figure.get_layout_engine()
-    assert layout is not None
-    layout.set(rect=(0, 0, 1, 1 - top / height), w_pad=0.1, h_pad=0.1)  # type: ignore[call-arg]
-    style: dict[str, Any] = {"x": 0.2 / _WIDTH_IN, "ha": "left", "va": "top", "color": _INK}
-    figure.text(y=1 - 0.15 / height, s=f"A water from pictures: {fit.model}", fontsize=16, **style)
-    figure.text(y=1 - 0.55 / height, s=notes, fontsize=10, parse_math=False, **style)
-    cells = figure.subplot_mosaic(rows)  # type: ignore[arg-type]
-    if "residual" in cells:
-        _draw_residuals(cells["residual"], fit)
+        _draw_residuals(axes.pop(), fit)
     if fit.pictures is not None and has_pair:
         usable = fit.pictures.usable[0]
         fitted = fit.rendered()[0].where(usable, _LEFT_OUT)
         titles = "Observed", "Fitted" if usable.all() else "Fitted; left-out pixels are white"
-        for title, light in zip(titles, (fit.pictures.observed[0], fitted), strict=True):
-            axis = cells[title.partition(";")[0].lower()]
+        lights = fit.pictures.observed[0], fitted
+        for axis, title, light in zip(axes, titles, lights, strict=True):
             axis.imshow(linear_to_srgb(light.clamp(0, 1)).permute(1, 2, 0).numpy())
             axis.set(xticks=[], yticks=[])
             axis.set_title(title, loc="left", fontsize=12)
-    z = torch.linspace(0, 1.25 * fit.geometry.farthest, 161, dtype=torch.float64)
-    for name, label in _CURVES.items():
-        curve = getattr(fit.medium, name)(z)[0].numpy()
+    return figure
+
+
+def draw_curves(axis: "Axes", medium: Medium, reach: float, seen: float | None = None) -> None:
+    """Draw the three curves of a medium up to a distance (m); what lies beyond `seen` is shaded."""
+    z = torch.linspace(0, reach, 161, dtype=torch.float64)
+    for name, (style, label) in _CURVES.items():
+        curve = getattr(medium, name)(z)[0].numpy()
         curve = curve.sum(1) if curve.ndim == 3 else curve  # of matrices, that of a white surface
         for line, colour in zip(curve, _RGB, strict=True):
-            cells[name].plot(z.numpy(), line, color=colour, linewidth=1.6)
-        cells[name].axvspan(fit.geometry.farthest, float(z[-1]), color="black", alpha=0.07)
-        cells[name].set(xlim=(0, float(z[-1])), ylim=(0, 1.1 * max(float(curve.max()), 0.01)))
-        _style(cells[name], label)
-    return figure
+            axis.plot(z.numpy(), line, style, color=colour, linewidth=1.6)
+        axis.plot([], [], style, color=_INK, label=label)
+    if seen is not None:
+        axis.axvspan(seen, reach, color="black", alpha=0.07)
+    # a colour matrix may raise a channel above 1
+    axis.set(xlim=(0, reach), ylim=(0, max(1, axis.dataLim.ymax)))
+    axis.legend(frameon=False, fontsize=10, labelspacing=0.2)
+    _style(axis)
 
 
 def _draw_residuals(axis: "Axes", fit: Fit) -> None:
@@ -89,11 +95,11 @@ def _draw_residuals(axis: "Axes", fit: Fit) -> None:
             label=colour,
         )
     axis.legend(frameon=False, fontsize=10)
-    _style(axis, "Observed − fitted, linear light")
+    axis.set_title("Observed − fitted, linear light", loc="left", fontsize=12, color=_INK)
+    _style(axis)
 
 
-def _style(axis: "Axes", title: str) -> None:
-    axis.set_title(title, loc="left", fontsize=12, color=_INK)
+def _style(axis: "Axes") -> None:
     axis.set_xlabel("distance [m]", fontsize=10, color=_GREY)
     axis.tick_params(labelsize=10, colors=_GREY, length=3)
     axis.spines[["top", "right"]].set_visible(False)

@@ -10,11 +10,8 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.types import ColorSpace
 
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Weights of the channels of linear sRGB (IEC 61966-2-1)."""
-
-_MAX_SRGB = 16.0
-"""sRGB values above this are taken for a scale of 0…255."""
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of the channels of linear sRGB (IEC 61966-2-1)
+_MAX_SRGB = 16.0  # sRGB values above this are taken for a scale of 0…255
 
 _MIN_SRGB = -0.1
 """sRGB values below this are taken for normalised ones, which reach −2.1 with ImageNet's numbers.

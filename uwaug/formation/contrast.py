@@ -28,8 +28,7 @@ from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.optics.view import WIDE, View
 
-FAINT = 0.03
-"""Share of contrast below which next to nothing can be seen."""
+FAINT = 0.03  # share of contrast below which next to nothing can be seen
 
 
 def contrast_left(

@@ -21,11 +21,8 @@ from uwaug.optics.weights import Weights
 SIDES = (32, 2160)
 """Short sides, px, from a thumbnail's to a 4K picture's, for which the command line exports."""
 
-EVERY_SIDE = (1, 16384)
-"""Short sides, px, of all pictures that a plan may be asked for."""
-
-_LONGEST_SIDES = 4
-"""Longest side of a picture, in largest short sides of a plan for all sizes."""
+EVERY_SIDE = (1, 16384)  # short sides, px, of all pictures that a plan may be asked for
+_LONGEST_SIDES = 4  # longest side of a picture, in largest short sides of a plan for all sizes
 
 _SLACK = 1.4
 """Blur tolerance over what the pixel with most scatter allows: few have as much, and linear light
@@ -43,19 +40,15 @@ the width is relative. Against the exact model (48 × 48 px, widths of 2…11 an
 the gradient of a loss to the scale is then within .5 %. At .002 it is within 2 %.
 """
 
-_LEARNED_REACH_PX = 0.5
-"""Smallest end of a plan for widths that are learned, so that they can grow."""
+_LEARNED_REACH_PX = 0.5  # smallest end of a plan for widths that are learned, so that they can grow
 
 _LEARNED_MARGIN = 1.1
 """Factor by which a plan for gradients goes beyond the widths at hand, as half of the slope is
 missing at its very end.
 """
 
-_NEAR_SHARE = 0.02
-"""Share by which a width may leave a plan before it shows."""
-
-_WIDEST_SIDES = 8
-"""Widest blur, in longest sides: wider ones all give the mean."""
+_NEAR_SHARE = 0.02  # share by which a width may leave a plan before it shows
+_WIDEST_SIDES = 8  # widest blur, in longest sides: wider ones all give the mean
 
 _LOG_STEPS = np.linspace(0, 1, 65)
 """Places in the logarithm of distance at which forward scatter is sampled."""

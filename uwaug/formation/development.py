@@ -34,17 +34,13 @@ from uwaug.formation.sensor import Sensor
 from uwaug.optics.curves import Curves, raised
 from uwaug.optics.medium import Medium
 
-MID_GREY = 0.18
-"""Linear light that a change of contrast leaves as it is."""
+MID_GREY = 0.18  # linear light that a change of contrast leaves as it is
 
 GAINS = (1 / 8, 64.0)
 """Smallest and largest gain of a metered exposure, −3 to +6 stops: from ISO 100 to 6400 are 6."""
 
-DARKEST = 1e-30
-"""Mean light below which there is none to meter: quotients of less have no slope."""
-
-MOST = 16.0
-"""Largest ratio of luminance to a channel's mean that a white balance makes up for."""
+DARKEST = 1e-30  # mean light below which there is none to meter: quotients of less have no slope
+MOST = 16.0  # largest ratio of luminance to a channel's mean that a white balance makes up for
 
 GAMUT_FROM = 0.75
 """Distance from grey, (max − c)/max, from which on colours are compressed. 1 is where a channel
@@ -52,8 +48,7 @@ reaches 0."""
 
 _BEYOND = 1 / (1 - GAMUT_FROM)
 
-_STRAIGHT_OFFSET = 1e6
-"""Stands for the infinite offset of a straight curve."""
+_STRAIGHT_OFFSET = 1e6  # stands for the infinite offset of a straight curve
 
 TOE = 1e-4
 """Linear light below which the curve of tone is straight: curves of less contrast are infinitely
@@ -66,12 +61,10 @@ stripes and rows of any period in pictures of any size, and the mean luminance o
 within 1 %. (A grid of every fourth pixel is off by 10 % at 16 px.)
 """
 
-BURNT = 0.05
-"""Share of the metered pixels that may burn out under lamps, before the stops."""
+BURNT = 0.05  # share of the metered pixels that may burn out under lamps, before the stops
 
 _BITS = 20
-TURN = 1 << _BITS
-"""A whole side, in the unit of `STEPS`."""
+TURN = 1 << _BITS  # a whole side, in the unit of `STEPS`
 
 STEPS = (791_547, 597_521)
 """Steps between metered pixels along rows and columns: 1/x and 1/x² with x³ = x + 1 (Roberts 2018,

@@ -16,8 +16,7 @@ from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
-_GREY = 0.25
-"""Linear light that stands for a scene whose values are not looked at."""
+_GREY = 0.25  # linear light that stands for a scene whose values are not looked at
 
 _WALL_PX = (9, 12)
 """Height and width of a wall that stands for a scene under lamps, which light a part of it."""

@@ -38,8 +38,7 @@ _BAND_PIXELS = 1 << 18
 halves the time at 1024 px; at 512 px it is the same.
 """
 
-Blur = Callable[[Tensor, Tensor], Tensor]
-"""Varying blur of light (Bx3xHxW) by widths (Bx1xHxW, px)."""
+Blur = Callable[[Tensor, Tensor], Tensor]  # varying blur of light (Bx3xHxW) by widths (Bx1xHxW, px)
 
 
 def form(

@@ -15,11 +15,8 @@ from uwaug.optics.point_spread import Law, Unit
 
 Part = Literal["rates", "veil", "width"]
 
-_MIN_START = 1e-6
-"""Smallest value at which learning starts: a smaller one would hardly learn."""
-
-_MIN_G = 1e-9
-"""Smallest G, 1/m: the gradient of V(0) = slope/G grows without end as G falls to 0."""
+_MIN_START = 1e-6  # smallest value at which learning starts: a smaller one would hardly learn
+_MIN_G = 1e-9  # smallest G, 1/m: the gradient of V(0) = slope/G grows without end as G falls to 0
 
 
 class FixedMedium(nn.Module):

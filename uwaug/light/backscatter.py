@@ -25,17 +25,13 @@ from torch import Tensor
 
 from uwaug.optics.curves import decay
 
-ASYMMETRY = 0.924
-"""Mean cosine of the phase function, that of Petzold's waters."""
+ASYMMETRY = 0.924  # mean cosine of the phase function, that of Petzold's waters
 
 NODES, NODE_WEIGHTS = (values.tolist() for values in np.polynomial.legendre.leggauss(7))
 """Gauss quadrature over the lit part of a ray (benchmarks/CHOICES.md)."""
 
-MAX_T = 1 - 1e-6
-"""Largest t: 1 − t is above 0 in single precision."""
-
-MIN_LENGTH = 1e-6
-"""Length that stands for 0."""
+MAX_T = 1 - 1e-6  # largest t: 1 − t is above 0 in single precision
+MIN_LENGTH = 1e-6  # length that stands for 0
 
 
 class Cone(NamedTuple):

@@ -28,8 +28,7 @@ from uwaug.optics.view import View
 MAX_RISE = math.sqrt(0.5)
 """Sine of the elevation (45°) above which the veil grows no more: there the surface is in view."""
 
-RISE = 0.8
-"""Share K_d/G of the attenuation of daylight in that of the veil."""
+RISE = 0.8  # share K_d/G of the attenuation of daylight in that of the veil
 
 
 def veil_factor(pitch: float | Tensor | Sequence[float], z: Tensor, view: View) -> Tensor:

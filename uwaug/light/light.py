@@ -28,17 +28,10 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import white
 from uwaug.optics.view import Rays, Vector, View
 
-LAMP_RADIUS_M = 0.03
-"""Distance (m) from a lamp within which its light grows no more."""
-
-_SOFT_EDGE = 0.5
-"""Outer share of the cone, over which the light fades."""
-
-_MIN_METRES = 1e-6
-"""Distance (m) below which it does not tell the field that multiplies it."""
-
-_MIN_LIGHT = 1e-30
-"""Amount of light that stands for none."""
+LAMP_RADIUS_M = 0.03  # distance (m) from a lamp within which its light grows no more
+_SOFT_EDGE = 0.5  # outer share of the cone, over which the light fades
+_MIN_METRES = 1e-6  # distance (m) below which it does not tell the field that multiplies it
+_MIN_LIGHT = 1e-30  # amount of light that stands for none
 
 
 class Sent(NamedTuple):

@@ -18,11 +18,8 @@ from uwaug.optics.curves import Curves
 from uwaug.optics.medium import Medium
 from uwaug.optics.view import Rays, View
 
-_EDGE_PX = 0.75
-"""Softness (px) of an edge to either side: half the diagonal of a pixel, and a lens."""
-
-_SOFT_SHARE = 0.4
-"""Softness of an edge as a share of the particle's radius: aggregates have no rim."""
+_EDGE_PX = 0.75  # softness (px) of an edge to either side: half the diagonal of a pixel, and a lens
+_SOFT_SHARE = 0.4  # softness of an edge as a share of the particle's radius: aggregates have no rim
 
 
 class Flakes(NamedTuple):

@@ -19,11 +19,8 @@ from uwaug.light import Light
 from uwaug.onnx.run import coefficients_of, module_of, read_metadata
 from uwaug.optics.medium import Medium
 
-_TOLERANCE = 2e-5
-"""Largest difference of a picture in single precision from one in double."""
-
-_LARGEST_PX = 512
-"""Largest side of the one large picture of a check."""
+_TOLERANCE = 2e-5  # largest difference of a picture in single precision from one in double
+_LARGEST_PX = 512  # largest side of the one large picture of a check
 
 
 @dataclass(frozen=True)

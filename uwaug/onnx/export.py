@@ -31,11 +31,8 @@ from uwaug.onnx.run import coefficients_of, described
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
-_OPSET = 18
-"""Operator set of the file, the first that can add scattered values."""
-
-_TORCH = (2, 13)
-"""Oldest release of torch that exports. 2.6 cannot trace free sizes."""
+_OPSET = 18  # operator set of the file, the first that can add scattered values
+_TORCH = (2, 13)  # oldest release of torch that exports; 2.6 cannot trace free sizes
 
 _FREE = {
     "B": "batch",

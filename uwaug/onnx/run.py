@@ -20,6 +20,7 @@ from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import as_matrices
+from uwaug.optics.view import View
 
 INPUTS = {
     "image": "Bx3xHxW, linear light or sRGB, see uwaug_module; 0…1, red, green, blue",
@@ -71,7 +72,7 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
     return metadata
 
 
-_MADE = (Medium, Development, Light)
+_MADE = (Medium, Development, Light, View)
 """Classes of the arguments of a module. The metadata of a stranger's file make nothing else."""
 
 

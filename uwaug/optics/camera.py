@@ -13,12 +13,11 @@ from uwaug._support.types import Array
 from uwaug.optics.spectra import WAVELENGTHS, Spectra, read_spectra, spectrum, wavelength_axis
 
 _CHANNELS = ("red", "green", "blue")
-
+# cameras of colour-science, in the folder `cameras`
 _FILES = {
     "Nikon 5100 (NPL)": "nikon-5100-npl.csv",
     "Sigma SDMerill (NPL)": "sigma-sdmerill-npl.csv",
 }
-"""Cameras of colour-science, in the folder `cameras`."""
 
 
 @plain
@@ -32,18 +31,15 @@ class Camera(Spectra):
         name: shown in messages.
         color_matrix (3×3 array): from its raw channels to linear sRGB, for surfaces with spectra;
             rows are scaled to a sum of 1. It is `rgb_cam` of dcraw, or XYZ → sRGB times a DNG
-            file's ForwardMatrix; its ColorMatrix, XYZ → raw, goes the other way. None for the
-            matrix that shows sRGB colours of Mallett and Yuksel as they are, see
-            `uwaug.optics.surfaces`.
+            file's ForwardMatrix. None for the matrix that shows the colours of
+            `uwaug.optics.surfaces` as they are.
 
     Attributes are the arguments, the arrays as read-only float64 copies. Between its wavelengths a
     response is linear.
 
     Raises:
-        TypeError: if an array holds no numbers.
-        ValueError: if wavelengths are not ascending nm, the response has another shape, is
-            negative, NaN or infinite, or a channel responds to nothing; if the matrix has another
-            shape, cannot be inverted, or a row of it has no positive sum.
+        TypeError, ValueError: if an array is no such spectrum, a channel responds to nothing, or
+            the matrix cannot be inverted, or a row of it has no positive sum.
 
     Examples:
         >>> Camera([450, 550, 600], [[0, 0, 1], [0, 1, 0], [1, 0, 0]], name="laser lines")
@@ -71,9 +67,6 @@ class Camera(Spectra):
     def at(self, wavelengths: ArrayLike) -> Array:
         """Response (M, 3) at other wavelengths (M array) [nm], strictly ascending, by linear
         interpolation; 0 outside its range.
-
-        Raises:
-            TypeError, ValueError: if they are no such axis.
         """
         axis = wavelength_axis(wavelengths)
         rows = [np.interp(axis, self.wavelengths, row, left=0, right=0) for row in self.response.T]
@@ -83,17 +76,13 @@ class Camera(Spectra):
         """Quadrature weights: ∫ S_c(λ) f(λ) dλ ≈ Σ_i weights[i, c] f(λ_i), with ∫ S_c = 1.
 
         This is the rectangle rule: each sample stands for half the way to either neighbour, the
-        first and last for a whole step (``numpy.gradient``). On a uniform grid the weights are the
-        normalised samples.
+        first and last for a whole step (``numpy.gradient``).
 
         Args:
             wavelengths (M array): wavelengths [nm], strictly ascending.
 
         Returns:
-            Weights (M, 3) ≥ 0; each column sums to 1.
-
-        Raises:
-            ValueError: if a channel has no response on these wavelengths.
+            Weights (M, 3) ≥ 0; each column sums to 1. ValueError if a channel has no response.
 
         Examples:
             >>> camera = Camera([400, 700], [[0, 1, 1], [1, 1, 0]])
@@ -117,15 +106,11 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
             one header line.
 
     Raises:
-        TypeError: if ``camera`` is none of these.
-        ValueError: if the name is unknown, or the file is no such table; the message names the
-            line.
+        TypeError, ValueError: if it is none of these, or the file no such table (with the line).
         OSError: if the file cannot be read.
 
-    References:
-        The named cameras: Darrodi et al., *Reference data set for camera spectral sensitivity
-            estimation*, JOSA A 32 (2015), measured at NPL, as packaged by colour-science
-            (BSD-3-Clause).
+    Source of the named cameras: Darrodi et al., *Reference data set for camera spectral sensitivity
+    estimation*, JOSA A 32 (2015), measured at NPL, as packaged by colour-science (BSD-3-Clause).
 
     Examples:
         >>> load_camera("nikon 5100 (npl)")
@@ -134,9 +119,7 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
     if isinstance(camera, Camera):
         return camera
     if not isinstance(camera, str | os.PathLike):
-        raise TypeError(
-            f"camera must be a name, the path of a CSV file or a Camera, got {camera!r:.80}"
-        )
+        raise TypeError(f"camera must be a name, a CSV file or a Camera, got {camera!r:.80}")
     if not isinstance(camera, str) or camera.lower().endswith(".csv"):
         return _read_csv(Path(camera))
     return _named(_plain_name(camera))
@@ -148,10 +131,9 @@ def response_at(camera: Camera, axis: bytes) -> Array:
     return camera.weights(np.frombuffer(axis)).T
 
 
+# Smallest share of a channel's response that must lie where the water has spectra. At 400–600 nm it
+# is .49, and pictures are right within .01. At 400–550 nm it is .13, and grey looks red.
 _MIN_COVERED_SHARE = 0.25
-"""Smallest share of a channel's response that must lie where the water has spectra. At 400–600 nm
-it is .49, and pictures are right within .01. At 400–550 nm it is .13, and grey looks red.
-"""
 
 
 @lru_cache(maxsize=16)

@@ -15,8 +15,7 @@ type):
     | Williamson & Hollins '22 | .10, .17 | .03, .04 | .14, .22 |
     | the two from each other  | .37, .61 | .66, 1.3 | .11, .21 |
 
-The worst is type III, which Solonenko & Mobley let scatter 1/m and hardly absorb. With half of the
-minerals' absorption type III is nearer (a .14), and muddy rivers would be too white.
+The worst is type III, which Solonenko & Mobley let scatter 1/m and hardly absorb.
 
 References:
     A_p, E_p: Bricaud et al., J. Geophys. Res. 103 (1998), particles of Case 1 waters, measured at
@@ -45,41 +44,31 @@ from uwaug._support.nouns import Noun, number
 from uwaug._support.types import Array
 from uwaug.optics.spectra import WAVELENGTHS, read_spectra
 
+# Unit of each content. A new content is a line here, a field of `Constituents`, and its terms in
+# `optical_properties`.
 UNITS = {
     "chlorophyll": "mg/m³",
     "cdom": "1/m at 440 nm",
     "minerals": "g/m³",
 }
-"""Unit of each content. A new content is a line here, a field of `Constituents`, and its terms in
-`optical_properties`.
-"""
 
+# waters by the name of a place: blue, grey-green, green, dark green
 PLACES = {
     "reef": {"chlorophyll": 0.4, "cdom": 0.03, "minerals": 0.2},
     "harbour": {"chlorophyll": 4.0, "cdom": 0.3, "minerals": 3.0},
     "lake": {"chlorophyll": 10.0, "cdom": 0.4, "minerals": 1.0},
     "fjord": {"chlorophyll": 5.0, "cdom": 0.6, "minerals": 0.2},
 }
-"""Waters by the name of a place, each by its contents: blue, grey-green, green, dark green."""
 
-MAX_CONTENT = 1e4
-"""Largest amount of a content, in its unit."""
+MAX_CONTENT = 1e4  # largest amount of a content, in its unit
+MEAN_COSINE = 0.9  # of daylight below the surface; Solonenko & Mobley have .98 to .85, at coasts
+LOST_BY_SCATTERING = 0.425 * MEAN_COSINE - 0.19  # share G(μ₀) of A·(b − b_w) in (μ₀ K_d)²
+SCATTERED_BY_PHYTOPLANKTON = 0.347, 0.766  # 1/m at 660 nm and 1 mg/m³; exponent of chlorophyll
 
-MEAN_COSINE = 0.9
-"""Mean cosine of daylight below the surface. Solonenko & Mobley have .98 in the ocean and .85 at
-the coast.
-"""
-
+# absorption and scattering at `WAVELENGTHS` by one unit of a content, 1/m
 CDOM = np.exp(-0.014 * (WAVELENGTHS - 440))
 ABSORBED_BY_MINERALS = 0.041 * np.exp(-0.0123 * (WAVELENGTHS - 443))
 SCATTERED_BY_MINERALS = 1.1513 * (400 / WAVELENGTHS) ** 1.7
-"""Absorption and scattering at `WAVELENGTHS` by one unit of a content, 1/m."""
-
-SCATTERED_BY_PHYTOPLANKTON = 0.347, 0.766
-"""Scattering, 1/m, at 660 nm and 1 mg/m³ of chlorophyll, and the exponent of chlorophyll."""
-
-LOST_BY_SCATTERING = 0.425 * MEAN_COSINE - 0.19
-"""G(μ₀) of Kirk 1984, the share of A·(b − b_w) in (μ₀ K_d)²."""
 
 
 @plain
@@ -90,12 +79,10 @@ class Constituents(Noun):
     A range (low, high) is drawn uniformly in its logarithm.
 
     Args:
-        chlorophyll, cdom, minerals: amounts in the units of `Water.from_constituents`, which gives
-            those of natural waters.
+        chlorophyll, cdom, minerals: amounts, see `Water.from_constituents`.
 
     Raises:
-        TypeError: if one is neither a number nor a pair of them.
-        ValueError: if a number is negative or infinite, or a range falls, or begins at 0.
+        TypeError, ValueError: if one is no number ≥ 0, and no range that rises from above 0.
 
     Examples:
         >>> lakes = Constituents(chlorophyll=(1, 50), cdom=(0.2, 5), minerals=1)
@@ -121,14 +108,8 @@ class Constituents(Noun):
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read contents as they are written on a command line.
-
-        Args:
-            text: such as "chlorophyll=5,cdom=0.3", or with ranges "chlorophyll=1:10,minerals=.5:5";
-                contents that are missing are 0.
-
-        Raises:
-            ValueError: if a content is unknown, named twice, or has no number or range.
+        """Read contents as they are written on a command line, such as "chlorophyll=5,cdom=0.3:1";
+        those that are missing are 0. ValueError if one is unknown, named twice, or has no number.
         """
         ranges: dict[str, float | tuple[float, float]] = {}
         for part in text.split(","):
@@ -207,13 +188,10 @@ def phytoplankton() -> tuple[Array, Array]:
 
 @lru_cache(maxsize=16)
 def pure_water(axis: bytes) -> Array:
-    """Absorption and scattering (2, N) of pure sea water at wavelengths [nm], given as the bytes of
-    their array.
-    """
+    """Absorption and scattering (2, N) of pure sea water at wavelengths [nm], an array's bytes."""
     nm = np.frombuffer(axis)
     if nm[0] < 300 or nm[-1] > 800:
-        got = f"{nm[0]:g}–{nm[-1]:g} nm leaves it"
-        raise ValueError(f"pure water is tabulated at 300–800 nm, but {got}: resample first")
+        raise ValueError(f"pure water is tabulated at 300–800 nm, got {nm[0]:g}–{nm[-1]:g} nm")
     table = read_spectra(Path(__file__).parent / "waters" / "pure.csv", {"a": "absorption"})
     absorption = np.interp(nm, table["wavelength"], table["a"])
     # of sea water, salinity 37: Boss & Pegau 2001, Eq. (4) and (5), over all directions
@@ -221,5 +199,5 @@ def pure_water(axis: bytes) -> Array:
     return np.array([absorption, 2.0 * (2.0 * math.pi * at_90 * (1 + _ANISOTROPY / 3.0))])
 
 
+# scattering of water grows with it times cos² of the angle, for a depolarisation of .09
 _ANISOTROPY = (1 - 0.09) / (1 + 0.09)
-"""Scattering of water grows with it times cos² of the angle, for a depolarisation of .09."""

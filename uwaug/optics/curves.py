@@ -6,16 +6,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-FARTHEST = 1e9
-"""Distance, m, that stands for +inf, so that 0·inf never arises; at any rate above 1e-7/m all light
-is gone there.
-"""
-
+FARTHEST = 1e9  # m, stands for +inf, so that 0·inf never arises
+# Optical depth below which 1 − e^−x keeps less than 16 of the 24 bits of single precision, and the
+# veil is off by 2e-5 of itself.
 _MIN_DEPTH = 1 / 256
-"""Optical depth below which 1 − e^−x keeps less than 16 of the 24 bits of single precision, and the
-veil is off by 2e-5 of itself.
-"""
-
 _LOG2E = math.log2(math.e)
 
 
@@ -63,15 +57,7 @@ class Sums(NamedTuple):
 
 
 def curves(sums: Sums, z: Tensor) -> Curves:
-    """Σ weight·e^(−rate·z), for each curve and channel, at every pixel.
-
-    Args:
-        sums: from `Medium.sums`.
-        z (Bx1xHxW tensor): effective distance, m, finite, ≥ 0.
-
-    Returns:
-        The curves, B the larger of the two batches.
-    """
+    """Σ weight·e^(−rate·z) of each curve and channel at distances z (Bx1xHxW), m, finite, ≥ 0."""
     exponentials = _exponentials(sums, z)
     b = exponentials.shape[0]  # len() of it would be fixed in a graph
     channels = (3, 3) if sums.is_spectral else (3,)

@@ -9,6 +9,7 @@ import numpy as np
 from uwaug._support import checks
 from uwaug._support.types import Array
 
+# the types as they are classified: open ocean, then coast, clear to turbid
 IN_WORDS = {
     "I": "clearest ocean",
     "IA": "clear ocean",
@@ -21,14 +22,10 @@ IN_WORDS = {
     "7C": "very murky coast",
     "9C": "murkiest coast",
 }
-"""The Jerlov water types, each in words."""
-
 JERLOV_TYPES = tuple(IN_WORDS)
-"""The Jerlov water types as they are classified: open ocean, then coast, clear to turbid."""
 
-
+# a new table is a file of `waters`, with lines of `provenance.csv`
 SOURCES = ("solonenko2015", "williamson2022")
-"""Names of the tables. A new one is a file of `waters`, with lines of `provenance.csv`."""
 
 
 def repaired_table(type: str, source: str) -> tuple[Array, dict[str, Array], list[str]]:

@@ -1,19 +1,7 @@
 """The medium: all that the image needs to know about water, camera and depth, as curves of
-distance.
-
-| symbol | meaning | unit |
-|---|---|---|
-| a, b, K_d | absorption, scattering, diffuse attenuation of the water at each wavelength | 1/m |
-| β = a + b | beam attenuation | 1/m |
-| g | share of the scattered light that leaves the line of sight | 1 |
-| G = a + g·b | attenuation of the light that carries the picture | 1/m |
-| d | depth of the scene below the surface | m |
-| E = e^(−K_d d) | light that is left at that depth | 1 |
-| μ | share of the scattered light that is sent towards the camera | 1 |
-| V(0) = μ·b·E/G | veil of endless water | 1 |
-| S_c | response of the camera's channel c, ∫S_c dλ = 1 | 1/nm |
-| z | distance along the ray; a medium field m multiplies it before it comes here | m |
-| b̄ | mean of b over the channels | 1/m |
+distance z. Symbols are those of `uwaug/formation/README.md`; S_c is the response of the camera's
+channel c, ∫S_c dλ = 1, E = e^(−K_d d) the light that is left at a depth d below the surface, and b̄
+the mean of b over the channels.
 
     T_β,c(z) = ∫ S_c·E·e^(−β z) dλ  ≈ Σ_k w_ck e^(−β_k z)    light that arrives unscattered
     T_G,c(z) = ∫ S_c·E·e^(−G z) dλ  ≈ Σ_l s_cl e^(−G_l z)    the same, and scattered forward
@@ -23,9 +11,6 @@ distance.
 With surfaces that have spectra, T_β and T_G are matrices from channel j of the scene to channel c,
 with S_c·ρ_j for S_c. S is the response of the camera with its colour matrix, which may be negative
 (see `uwaug.optics.surfaces`).
-
-Each integral becomes a sum of a few exponentials, of positive weights where the integrand is
-positive: exact at z = 0, right at any distance.
 
 The rates belong to the water and serve all three channels, and signal and veil alike; only the
 weights belong to the camera. (For a tolerance of .002, one Gauss quadrature per curve and channel
@@ -69,24 +54,12 @@ from uwaug.optics.water import Water, load_water
 from uwaug.optics.weights import Weights
 
 _OF_COEFFICIENTS = "coefficients: one rate per channel"
-
-_G_ROUNDING = 1e-6
-"""Rounding by which G may exceed beta, in 1/m and as a share of it."""
-
-_MIN_LIGHT = 1e-30
-"""Stands for the light of a channel that gets none."""
-
-_MIN_SHARE = 1e-6
-"""Smallest share of a channel's light from which a rate is taken."""
-
-_BRIGHT_VEIL = 1.05
-"""V(0) above which the notes say that the veil is brighter than a white plate."""
-
-
+_G_ROUNDING = 1e-6  # rounding by which G may exceed beta, in 1/m and as a share of it
+_MIN_LIGHT = 1e-30  # stands for the light of a channel that gets none
+_MIN_SHARE = 1e-6  # smallest share of a channel's light from which a rate is taken
+_BRIGHT_VEIL = 1.05  # V(0) above which the notes say that the veil is brighter than a white plate
 _PIXELS = Law()
-
-_ABSENT = torch.zeros(())
-"""One number for all, of which a medium makes a tensor of the right shape."""
+_ABSENT = torch.zeros(())  # one number for all, of which a medium makes a tensor of the right shape
 
 
 @plain
@@ -125,11 +98,9 @@ class Medium:
         "lamp_signal_weights": "BCTN",
         "lamp_veil_weights": "BCN",
     }
-    """The tensors and their axes: B media, K rates of the direct term, L of signal and veil, M and
-    N of these under lamps, C channels of the picture, and of surfaces with spectra S channels of
-    the scene, T under lamps. All code that copies, stacks, brightens, learns, stores or exports
-    media goes by it.
-    """
+    # Axes: B media, K rates of the direct term, L of signal and veil, M and N of these under lamps,
+    # C channels of the picture, and of surfaces with spectra S channels of the scene, T under
+    # lamps. All code that copies, stacks, brightens, learns, stores or exports media goes by it.
 
     beta: Tensor
     direct_weights: Tensor
@@ -165,9 +136,7 @@ class Medium:
 
     @staticmethod
     def of_plain(**values: Any) -> "Medium":
-        """Make a medium of plain numbers, see `uwaug._support.codec`; or, as a person writes them,
-        of the arguments of `from_coefficients`.
-        """
+        """A medium of stored numbers, or, as a person writes them, as `from_coefficients`."""
         if "direct_weights" not in values:
             if "point_spread" in values:
                 values["point_spread"] = from_plain(values["point_spread"], PointSpread)
@@ -196,17 +165,13 @@ class Medium:
                 `uwaug.load_water`.
             camera: a name, the path of a CSV file (see `uwaug.load_camera`), or a `Camera`.
             vertical_depth: d, depth of the scene below the surface, m, ≥ 0.
-            g: share of the scattered light that leaves the line of sight, 0…1. Not the asymmetry of
-                a phase function: .2 (the paper) for a subject that fills part of the view, .05 for
-                one that fills it.
-            mu: share of the scattered light that is sent towards the camera, 0…1, where 1 in the
-                image means a white vertical plate; None for 1.5·g, as far away the veil goes as
-                μ/g. The notes mention a veil of more than 1.05 of white.
+            g: share of the scattered light that leaves the line of sight, 0…1; not the asymmetry of
+                a phase function. .2 (the paper) for a subject in part of the view, .05 for one that
+                fills it.
+            mu: share of the scattered light that is sent towards the camera, 0…1; None for 1.5·g.
             point_spread: width law, by default `PointSpread.paper()`.
             surfaces: "grey", where a channel of the picture depends on that channel of the scene
-                alone, as in the paper; or "spectral", where colours of the scene have spectra, and
-                the camera a colour matrix, see `uwaug.optics.surfaces`. In air the picture is the
-                scene with both.
+                alone, as in the paper; or "spectral", see `uwaug.optics.surfaces`.
             color_matrix: share of the camera's colour matrix that is applied to surfaces with
                 spectra, 0…1. With 0 its raw channels are shown.
             tolerance: largest error of each curve, at any distance; 0 keeps every band.
@@ -242,9 +207,7 @@ class Medium:
         *,
         lamps: bool,
     ) -> "Medium":
-        """Reduce spectra as `from_water`, whose checks and defaults come before; for the light of
-        lamps, too, if there are any.
-        """
+        """As `from_water`, without its checks; for the light of lamps, too, if there are any."""
         spectra = water.at(default_bands(water))
         axis, b = spectra.wavelengths, spectra.b
         require_covered(camera, float(axis[0]), float(axis[-1]))
@@ -278,9 +241,7 @@ class Medium:
 
     @staticmethod
     def of_arrays(arrays: Mapping[str, Array], law: Law, note: str) -> "Medium":
-        """A medium of one row, of the arrays of its tensors, whose memory it shares; weights of
-        matrices have nine rows.
-        """
+        """A medium of one row, which shares the arrays' memory; weights of matrices have 9 rows."""
         tensors: dict[str, Any] = {name: row_of(array) for name, array in arrays.items()}
         medium = Medium(**tensors, law=law, notes=(note,))
         if len(arrays["direct_weights"]) == 9:  # else they are no memory of the tensors
@@ -301,8 +262,8 @@ class Medium:
 
         Args:
             beta (3 or Bx3): beam attenuation per channel, 1/m, ≥ 0.
-            G (3 or Bx3): effective attenuation of signal and veil, 1/m, 0…beta: with more, forward
-                scatter would take light away. With G = beta there is none.
+            G (3 or Bx3): attenuation of signal and veil, 1/m, 0…beta; with G = beta there is no
+                forward scatter.
             veil (3 or Bx3): veil at infinite distance, V(0).
             b_mean (number or B): scattering coefficient of the width law, 1/m.
             point_spread: width law, by default no blur.
@@ -312,14 +273,13 @@ class Medium:
         float64.
 
         Raises:
-            ValueError: if a shape is another, batches differ, a value is negative or infinite, or G
-                is more than beta.
+            ValueError: if shapes or batches differ, a value is negative or infinite, or G > beta.
         """
         rows = _rows({"beta": beta, "G": G, "veil": veil, "light": light, "b_mean": b_mean})
         beta, G, b = rows["beta"], rows["G"], rows["b_mean"]
         if bool((G - beta > _G_ROUNDING * (1 + beta)).any()):
             got = f"G = {G.tolist()} and beta = {beta.tolist()}"
-            raise ValueError(f"G must be beta at most, as scatter adds to it: got {got}")
+            raise ValueError(f"G must be beta at most, got {got}")
         weights = torch.diag_embed(rows["light"])
         law = PointSpread.none() if point_spread is None else point_spread
         return Medium(
@@ -337,12 +297,7 @@ class Medium:
 
     @staticmethod
     def stack(media: "Iterable[Medium]") -> "Medium":
-        """Join media to one batch; their width laws must share shape and reference size.
-
-        Raises:
-            TypeError: if one is no `Medium`.
-            ValueError: if there is none, or width laws differ in shape or reference size.
-        """
+        """Join media, at least one, to one batch; their width laws must share shape and unit."""
         media = list(media)
         for medium in media:
             checks.instance("media", medium, Medium, "; see Medium.from_water")
@@ -430,8 +385,8 @@ class Medium:
         return square and all(torch.equal(w, w * torch.eye(3).to(w)) for w in weights)
 
     def as_coefficients(self, metres: float = 3.0) -> "Medium":
-        """The classical model of this medium: one exponential per channel, for white, right at the
-        lens and at a distance of `metres`, with the same veil far away.
+        """The medium with one exponential per channel: right for white at the lens and at `metres`,
+        with the same veil far away.
         """
         light = white(self.direct_weights).sum(-1)
 
@@ -463,11 +418,8 @@ class Medium:
         return checks.records(*self.tensors())
 
     def sums(self, *, exact_at_lens: bool) -> Sums:
-        """The three curves as sums of exponentials, for `uwaug.optics.curves.curves`.
-
-        With `exact_at_lens` the veil is computed without cancellation, so that a millimetre of
-        water gives a small veil, not 0. Otherwise V(0) − V(z) is subtracted, which takes half the
-        time and loses digits only there.
+        """The three curves as sums of exponentials. With `exact_at_lens` a millimetre of water has
+        a small veil, not 0; V(0) − V(z) loses digits there, and takes half the time.
         """
         direct, signal = self.direct_weights.flatten(1, -2), self.signal_weights.flatten(1, -2)
         veil = self.veil_weights
@@ -487,9 +439,7 @@ class Medium:
         return Sums(rates, torch.cat(weights, 1), self.beta.shape[1], split)
 
     def _any_at_lens(self, z: Tensor) -> bool:
-        """True if a distance z (B or 1, …), m, is so near that V(0) − V(z) would cancel; also where
-        values cannot be looked at.
-        """
+        """True if V(0) − V(z) would cancel at a distance z (B or 1, …), m, or may on a device."""
         if not checks.on_host(z):
             return True
         slowest = self.G.masked_fill(self.G <= 0, math.inf).amin(1)
@@ -502,11 +452,8 @@ class Medium:
             T_G,c(z) = ∫ S_c·e^(−G z) dλ        the same, and scattered forward
             b_c(x) = ∫ S_c·b·e^(−G x) dλ        scattered by a metre of water, seen after x metres
 
-        Where `lamp_…` has no rates, as in a medium that learns, the medium's rates and shares of
-        light stand for these curves, and b̄ for b.
-
-        Returns:
-            A medium whose `veil_weights` are those of b_c, 1/m.
+        The `veil_weights` of the result are those of b_c, 1/m. Where `lamp_…` has no rates, as in a
+        medium that learns, the medium's stand for these curves, and b̄ for b.
         """
         if self.knows_lamps:
             lit: dict[str, Any] = {name: getattr(self, f"lamp_{name}") for name in OF_LAMPS}
@@ -580,14 +527,9 @@ class Medium:
         return {}
 
     def transmission(self, z: Tensor) -> Tensor:
-        """T_β(z): share of the light at the surface that arrives unscattered.
-
-        Args:
-            z: distance, m; (B or 1, 1, H, W), (1, H, W), or any number of values (N,) or ().
-
-        Returns:
-            (B, 3, H, W), or (B, 3, N), or (B, 3). Of surfaces with spectra, a matrix (B, 3, 3, …):
-            the share of each channel of the scene in each channel of the picture.
+        """T_β(z): share of the light at the surface that arrives unscattered: (B, 3, H, W) of
+        distances z (B or 1, 1, H, W), m; (B, 3, N) of (N,); (B, 3) of a number. Of surfaces with
+        spectra, matrices (B, 3, 3, …) from channels of the scene to those of the picture.
         """
         return self._curves(z).direct
 
@@ -645,9 +587,8 @@ class Medium:
         """The law of the widths and its numbers, in words."""
         if not bool((self.scale != 0).any()):
             return "no blur"
-        unit = {"paper": "px at 518 px short side", "focal": "focal lengths"}.get(
-            self.law.unit, "px"
-        )
+        units = {"px": "px", "paper": "px at 518 px short side", "focal": "focal lengths"}
+        unit = units[self.law.unit]
         scale, exponent = _short(self.scale), _short(self.exponent)
         return f"{self.law.shape} σ = {scale}·(b̄ z)^{exponent} {unit}"
 
@@ -657,11 +598,9 @@ class Medium:
         return f"Medium({note}{more}; {self.width_law}, b̄ = {_short(self.b_mean)}/m)"
 
 
+# tensors that a medium has twice, for daylight and for lamps
 OF_LAMPS = tuple(name[5:] for name in Medium.TENSORS if name.startswith("lamp_"))
-"""Tensors that a medium has twice, for daylight and for lamps."""
-
 _OF_WIDTHS = ("b_mean", "scale", "exponent")
-
 _OF_WEIGHTS = (*OF_LAMPS, *_OF_WIDTHS)
 
 

@@ -15,17 +15,11 @@ from uwaug.optics.curves import raised
 from uwaug.optics.view import Size, View
 
 Unit = Literal["px", "paper", "focal"]
-"""What a width is counted in: px of the image at hand; px where its short side has as many as those
-of the paper; focal lengths.
-"""
 
-PAPER_SIDE = 518
-"""Short side of the paper's pictures, px."""
-
+PAPER_SIDE = 518  # short side of the paper's pictures, px
+# Scattering lengths between which a width changes. A power below 1 has an infinite slope at 0, so
+# that σ(0) is tiny instead of 0; at 1e4 all light is gone.
 LENGTHS = 1e-6, 1e4
-"""Scattering lengths between which a width changes. A power below 1 has an infinite slope at 0, so
-that σ(0) is tiny instead of 0; at 1e4 all light is gone.
-"""
 
 
 @plain
@@ -63,8 +57,7 @@ class Law:
         return short / PAPER_SIDE
 
 
-IN_PIXELS = {shape: Law(shape) for shape in get_args(Shape)}
-"""Laws in px of the image at hand, by shape."""
+IN_PIXELS = {shape: Law(shape) for shape in get_args(Shape)}  # px of the image at hand
 
 
 @plain
@@ -76,9 +69,6 @@ class PointSpread:
         scale: width at one scattering length, in units, ≥ 0.
         exponent: > 0.
         shape, unit: see `uwaug.optics.point_spread.Law`.
-
-    σ never falls with distance; planning looks at the two ends of a range only. The numbers are
-    tensors of a `Medium`, which may learn them.
 
     Raises:
         ValueError: if a value is outside its domain.

@@ -9,8 +9,7 @@ from uwaug._support.compiled import compiled
 from uwaug._support.types import Array
 from uwaug.optics.curves import FARTHEST
 
-Reduced = tuple[Array, Array, float]
-"""Rates (K), ascending; weights (C, K); the largest error."""
+Reduced = tuple[Array, Array, float]  # rates (K), ascending; weights (C, K); the largest error
 
 _FIRST_RATES, _MAX_RATES = 4, 12
 """Largest numbers of rates that are tried first and at all. At a tolerance of .002 the ten types
@@ -27,11 +26,8 @@ _STRAIGHT_DEPTH, _FADED_DEPTH = 0.01, 10.0
 are straight, and of the slowest, above which they have faded.
 """
 
-_NEAREST_M = 1e-12
-"""Smallest distance that is sampled, beside 0."""
-
-_TINY = 1e-300
-"""Stands for 0 under a logarithm and below a fraction."""
+_NEAREST_M = 1e-12  # smallest distance that is sampled, beside 0
+_TINY = 1e-300  # stands for 0 under a logarithm and below a fraction
 
 
 def reduce_rates(rates: Array, weights: Array, tolerance: float) -> Reduced:

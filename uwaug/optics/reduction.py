@@ -1,6 +1,4 @@
-"""Rates and weights of a medium from spectra: coefficients at each band, then sums over few shared
-rates.
-"""
+"""Rates and weights of a medium from spectra."""
 
 import numpy as np
 
@@ -10,10 +8,9 @@ from uwaug.optics.spectra import bands_between
 from uwaug.optics.surfaces import measure
 from uwaug.optics.water import Water
 
+# Smallest G, 1/m. It stands for 0, where the veil has the limit μ·b·E·z, and over 20 m is off by
+# 1e-5 of that. A smaller one loses digits in V(0) − V(z), the difference of two large numbers.
 _MIN_G = 1e-6
-"""Smallest G, 1/m. It stands for 0, where the veil has the limit μ·b·E·z, and over 20 m is off by
-1e-5 of that. A smaller one loses digits in V(0) − V(z), the difference of two large numbers.
-"""
 
 
 def default_bands(water: Water) -> Array:
@@ -79,11 +76,8 @@ def reduced_curves(
 
 
 def _mixes(lit: Array, rates: Array, tolerance: float) -> bool:
-    """True if a channel takes more than a tolerance from the other two at some distance.
-
-    Args:
-        lit (9xN array): weights of the nine curves.
-        rates (2xN array): β and G, 1/m.
+    """True if a channel takes more than a tolerance from the other two at some distance, by the
+    weights of the nine curves (9xN) and rates β and G (2xN), 1/m.
     """
     off_diagonal = lit[[1, 2, 3, 5, 6, 7]]
     at_lens = np.abs(off_diagonal.sum(1)).reshape(3, 2).sum(1)

@@ -13,26 +13,17 @@ from uwaug._support.nouns import SEEDS, Seeded, number, require_seed
 from uwaug._support.ranges import Range, as_range
 from uwaug._support.types import Array
 
+# Diameter, m, from which particles are called marine snow, and counted (Alldredge and Silver,
+# Progress in Oceanography 20, 1988).
 COUNTED = 0.5e-3
-"""Diameter, m, from which particles are called marine snow, and counted (Alldredge and Silver,
-Progress in Oceanography 20, 1988).
-"""
-
-SIZES = (50e-6, 5e-3)
-"""Smallest and largest diameter, m. The water's b stands for smaller particles."""
-
+SIZES = (50e-6, 5e-3)  # diameters, m; the water's b stands for smaller particles
+# Smallest diameter over distance that is drawn, .4 px of a view of 60° that is 512 px wide; in
+# views of more than that square in as many px of theirs, so that particles do not become more.
 _MIN_ANGLE = 1e-3
-"""Smallest diameter over distance that is drawn, .4 px of a view of 60° that is 512 px wide; in
-views of more than that square in as many px of theirs, so that particles do not become more.
-"""
-
-_NEAREST_M = 0.05
-"""Smallest distance along the axis. Nearer is the port of the camera's housing."""
-
+_NEAREST_M = 0.05  # smallest distance along the axis; nearer is the port of the camera's housing
+# Tangent beyond the edges of a view, to where there are particles: those that are near and out of
+# focus may be partly in the picture.
 _MARGIN = 0.06
-"""Tangent beyond the edges of a view, to where there are particles: those that are near and out of
-focus may be partly in the picture.
-"""
 
 
 class Particles(NamedTuple):
@@ -104,11 +95,7 @@ class MarineSnow(Seeded):
         object.__setattr__(self, "drift", checks.vector("snow: drift", self.drift))
 
     def particles(self, right: float, down: float) -> Particles:
-        """Draw the particles that a camera may see.
-
-        Args:
-            right, down: tangents of the angles from the middle of the view to its edges.
-        """
+        """Draw the particles that a camera may see, up to these tangents of angles of view."""
         angle = _MIN_ANGLE * max(1.0, math.sqrt(3 * right * down))  # 1/√3 is tan 30°
         # A particle is drawn up to a distance s = d/angle. It lives in a box of water of its own, s
         # long and 2s·right × 2s·down wide, beyond which it comes again: as new, out of sight.

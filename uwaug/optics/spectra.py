@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from uwaug._support.atomic import require_regular
 from uwaug._support.types import Array
 
-WAVELENGTHS = np.arange(400.0, 701.0, 5.0)
-"""The 61 bands, nm, that stand for an integral over wavelength."""
+WAVELENGTHS = np.arange(400.0, 701.0, 5.0)  # nm, bands that stand for an integral
 
 
 @lru_cache(maxsize=16)
@@ -61,27 +60,17 @@ def _frozen_array(name: str, values: ArrayLike) -> Array:
 
 
 def wavelength_axis(values: ArrayLike) -> Array:
-    """Check a wavelength axis, nm, and make it a read-only array.
-
-    Raises:
-        TypeError: if the values are no numbers.
-        ValueError: if the axis is empty, not 1-D, not strictly ascending or not in nm (100…3000).
-    """
+    """Check a wavelength axis, strictly ascending, 100…3000 nm, and make it a read-only array."""
     axis = _frozen_array("wavelengths", values)
     if axis.ndim != 1 or axis.size == 0:
-        raise ValueError(
-            f"wavelengths must be 1-D with at least one sample, got shape {axis.shape}"
-        )
+        raise ValueError(f"wavelengths must be 1-D and not empty, got shape {axis.shape}")
     bad = np.count_nonzero(~np.isfinite(axis))
     if bad:
         raise ValueError(f"wavelengths must be finite, got {bad} NaN or infinite values")
     drops = np.flatnonzero(np.diff(axis) <= 0)
     if drops.size:
         left, right = axis[drops[0] : drops[0] + 2]
-        raise ValueError(
-            f"wavelengths must be strictly ascending, but {left:g} is followed by {right:g}: "
-            "sort them, each once"
-        )
+        raise ValueError(f"wavelengths must be strictly ascending, got {right:g} after {left:g}")
     low, high = axis[[0, -1]]
     if not (low >= 100 and high <= 3000):
         raise ValueError(f"wavelengths must be in nm, between 100 and 3000, got {low:g}…{high:g}")
@@ -89,18 +78,11 @@ def wavelength_axis(values: ArrayLike) -> Array:
 
 
 def spectrum(name: str, values: ArrayLike, axis: Array, channels: tuple[int, ...] = ()) -> Array:
-    """Check a spectrum ≥ 0 on a wavelength axis (N), and make it a read-only array (N, *channels).
-
-    Raises:
-        TypeError: if the values are no numbers.
-        ValueError: if the shape is another, or a value is NaN, infinite or negative.
-    """
+    """Check a spectrum ≥ 0 on a wavelength axis (N), and make it a read-only (N, *channels)."""
     array = _frozen_array(name, values)
     expected = (*axis.shape, *channels)
     if array.shape != expected:
-        raise ValueError(
-            f"{name} must have one row per wavelength, shape {expected}, got {array.shape}"
-        )
+        raise ValueError(f"{name} must have shape {expected}, as wavelengths, got {array.shape}")
     nonfinite = ~np.isfinite(array)
     _refuse(name, nonfinite, axis, "NaN or infinite", "fill them or leave these wavelengths out")
     _refuse(name, array < 0, axis, "negative", "set measurement noise to 0")
@@ -138,12 +120,7 @@ def read_spectra(
 
     Returns:
         Arrays (N) by name: "wavelength" [nm], of which a header may say that they are in µm, and
-        the spectra.
-
-    Raises:
-        ValueError: if it is no such table, or its header has an unknown unit; the message names the
-            line.
-        OSError: if the file cannot be read.
+        the spectra. A file that is no such table is a ValueError that names the line.
     """
     require_regular(path)
     rows: list[list[float]] = []
@@ -168,12 +145,9 @@ def read_spectra(
                     rows.append([])
                 if len(rows[-1]) != len(names):
                     # the row is not shown: a preset of somebody else may name a private file
-                    count = {2: "two", 3: "three", 4: "four"}[len(names)]
-                    raise ValueError(
-                        f"{path}, line {reader.line_num}: expected {count} numbers, "
-                        f"{', '.join(names)}, separated by commas or semicolons, below a header "
-                        f"with these names or none{cure if is_first else ''}"
-                    )
+                    expected = f"numbers {', '.join(names)}, separated by commas or semicolons"
+                    more = f", below a header of these names or none{cure}" if is_first else ""
+                    raise ValueError(f"{path}, line {reader.line_num}: expected {expected}{more}")
         except csv.Error as error:
             raise ValueError(f"{path}, line {reader.line_num}: {error}") from None
     if not rows:

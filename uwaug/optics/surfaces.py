@@ -22,14 +22,8 @@ from torch import Tensor
 from uwaug._support.types import Array
 
 Surfaces = Literal["grey", "spectral"]
-"""Channels of the scene that a channel of the picture depends on: with "grey" that channel alone,
-which is right for grey surfaces; with "spectral" all three, as surfaces have spectra.
-"""
-
 _UNIT = np.eye(3)
-
-_MAX_CONDITION = 1e3
-"""Condition number of M above which the three channels see the same. Of usual cameras it is 3."""
+_MAX_CONDITION = 1e3  # of M, above which the three channels see the same; usual cameras have 3
 
 
 @lru_cache(maxsize=16)
@@ -74,7 +68,7 @@ def _inverse(matrix: bytes) -> Array:
     """M⁻¹ (3, 3), of M given as the bytes of its array; refuses an M that has none."""
     M = np.frombuffer(matrix).reshape(3, 3)
     if np.linalg.cond(M) > _MAX_CONDITION:
-        cure = "give a camera and wavelengths that cover 400–700 nm, or surfaces='grey'"
+        cure = "cover 400–700 nm, or give surfaces='grey'"
         raise ValueError(f"camera: its channels cannot tell three colours apart: {cure}")
     return np.asarray(np.linalg.inv(M))
 

@@ -13,8 +13,7 @@ from uwaug._support.codec import plain
 Vector = tuple[float, float, float]
 Size = tuple[int, int]
 
-_WIDEST = 8.0
-"""Largest width of a picture in focal lengths: 152°, wider than any view without fisheye."""
+_WIDEST = 8.0  # largest width of a picture in focal lengths: 152°
 
 
 @plain
@@ -72,10 +71,15 @@ class View:
         """Column and row, px, of the axis in a picture of (height, width) `size`."""
         return self.center or ((size[1] - 1) / 2, (size[0] - 1) / 2)
 
-    def crop(self, size: Size, left: int, top: int) -> "View":
-        """The view of a crop whose first pixel is that of a column and a row of a picture of
-        (height, width) `size`.
+    def planar(self, width: int) -> dict[str, Any]:
+        """Focal length and centre as `uwaug.distance.along_ray` takes them, which counts px from
+        the corner of the first pixel.
         """
+        center = None if self.center is None else tuple(place + 0.5 for place in self.center)
+        return {"focal_px": self.focal(width), "center": center}
+
+    def crop(self, size: Size, left: int, top: int) -> "View":
+        """The view of a crop that begins at a column and a row of a picture of (height, width)."""
         column, row = self.middle(size)
         return View(self.degrees, self.focal(size[1]), (column - left, row - top))
 
@@ -98,8 +102,7 @@ class View:
         return Rays.of(x.reshape(1, 1, 1, -1), y.reshape(1, 1, -1, 1))
 
 
-WIDE = View()
-"""The view that stands for an unknown one, 60° wide."""
+WIDE = View()  # the view that stands for an unknown one, 60° wide
 
 
 class Rays(NamedTuple):

@@ -1,6 +1,4 @@
-"""Water: absorption, scattering and diffuse attenuation by wavelength; visibility and contrast, and
-contents scaled to reach them.
-"""
+"""Water: absorption, scattering and diffuse attenuation by wavelength."""
 
 import math
 import os
@@ -37,26 +35,18 @@ from uwaug.optics.spectra import (
     wavelength_axis,
 )
 
-CONTRAST_THRESHOLD = 0.02
-"""The contrast at which an object is no longer seen (Koschmieder 1924)."""
+CONTRAST_THRESHOLD = 0.02  # the contrast at which an object is no longer seen (Koschmieder 1924)
 
 _VISIBLE_NM = (400.0, 700.0)
 _BIO_OPTICAL = (
     "a, b, K_d: bio-optical model of Bricaud et al. 1998, Loisel & Morel 1998, Haltrin 1999, Babin "
     "et al. 2003 and Kirk 1984"
 )
-
+# Smallest K_d as a share of a: light that is absorbed is lost on the way down. It is below 1, as
+# measured tables of two sources differ by .12 (type IB at 450 nm).
 LEAST_LOSS = 0.85
-"""Smallest K_d as a share of a: light that is absorbed is lost on the way down. It is below 1, as
-measured tables of two sources differ by .12 (type IB at 450 nm).
-"""
-
 _LOSS_ROUNDING = 1e-9
-
-_EYE_NODES = 301
-"""Number of wavelengths for the eye, 1 nm apart on a full range. With the 61 bands of a medium the
-visibility of type I would be 7e-4 off.
-"""
+_EYE_NODES = 301  # 1 nm apart; with the bands of a medium type I's visibility is 7e-4 off
 
 
 @plain
@@ -76,9 +66,7 @@ class Water(Spectra):
     water is linear.
 
     Raises:
-        TypeError: if an array holds no numbers.
-        ValueError: if wavelengths are not ascending nm, lengths differ, a coefficient is negative,
-            NaN or infinite, or K_d is less than a.
+        TypeError, ValueError: if an array is no such spectrum, or K_d is less than a.
 
     Examples:
         >>> a, b, kd = [1.00, 0.77, 0.72], [13.25, 10.25, 9.50], [2.0, 1.6, 1.5]
@@ -105,8 +93,7 @@ class Water(Spectra):
         provenance: Sequence[str] = (),
     ) -> None:
         if isinstance(provenance, str):
-            got = f"the string {provenance!r:.80}"
-            raise TypeError(f"provenance must be a sequence of strings, got {got}")
+            raise TypeError(f"provenance must be a list of strings, got {provenance!r:.80}")
         axis = wavelength_axis(wavelengths)
         vars(self).update(
             wavelengths=axis,
@@ -119,10 +106,7 @@ class Water(Spectra):
         low = self.kd < (LEAST_LOSS - _LOSS_ROUNDING) * self.a
         if low.any():
             places = ", ".join(f"{nm:g}" for nm in axis[low][:8])
-            raise ValueError(
-                f"kd must be a at least, as what is absorbed is lost on the way down; it is less "
-                f"at {places} nm"
-            )
+            raise ValueError(f"kd must be a at least; it is less at {places} nm")
 
     @property
     def beta(self) -> Array:
@@ -141,9 +125,6 @@ class Water(Spectra):
                 ``"williamson2022"``, measured a and b of IB to 5C at 310–700 nm, with K_d from
                 Jerlov 1976.
 
-        Returns:
-            The water; its ``provenance`` names the source of each quantity.
-
         Raises:
             ValueError: if the type or the source is unknown, or the source lacks the type.
 
@@ -154,10 +135,7 @@ class Water(Spectra):
             Jerlov, *Marine Optics*, Elsevier (1976), Table XXVII. All as packaged by ``jerlov``.
 
         Examples:
-            >>> water = Water.jerlov("5C")
-            >>> water
-            Water('5C', 17 wavelengths, 300–700 nm)
-            >>> water.provenance[1][:53]
+            >>> Water.jerlov("5C").provenance[1][:53]
             'Jerlov 5C: a at 600–700 nm: Williamson & Hollins 2022'
         """
         type = type.upper() if str(type).upper() in JERLOV_TYPES else type
@@ -167,9 +145,7 @@ class Water(Spectra):
     @classmethod
     def from_constituents(cls, *, name: str | None = None, **contents: float) -> Self:
         """A water with these contents, at 400–700 nm: greens and browns that no Jerlov type has.
-
-        It is a bio-optical model of the literature. `uwaug/optics/constituents.py` has equations,
-        sources and errors.
+        `uwaug/optics/constituents.py` has equations, sources and errors.
 
         Args:
             name: shown in messages and notes; None for the contents, as `load_water` reads them.
@@ -195,21 +171,14 @@ class Water(Spectra):
 
     @classmethod
     def of_amounts(cls, amounts: Mapping[str, float], name: str | None = None) -> Self:
-        """As `from_constituents`, of the amounts of all contents; nothing is checked."""
+        """As `from_constituents`, of the amounts of all contents, unchecked."""
         name = Constituents(**amounts).name if name is None else name
         water = object.__new__(cls)
         return water._derived(WAVELENGTHS, optical_properties(amounts), name, (_BIO_OPTICAL,))
 
     def at(self, wavelengths: ArrayLike) -> Self:
-        """The same water on other wavelengths, by linear interpolation.
-
-        Args:
-            wavelengths (M array): wavelengths [nm], strictly ascending, inside the range of this
-                water.
-
-        Raises:
-            ValueError: if they are no such axis, or reach outside the range of the data: nothing is
-                extrapolated.
+        """The same water on other wavelengths (M), nm, strictly ascending, by linear interpolation.
+        ValueError where they are no such axis, or leave its range: nothing is extrapolated.
         """
         if np.array_equal(wavelengths, self.wavelengths):
             return self
@@ -221,18 +190,10 @@ class Water(Spectra):
         return self._derived(axis, self._table(axis), self.name, self.provenance)
 
     def mix(self, other: "Water", t: float) -> Self:
-        """The mixture (1 − t)·self + t·other, linear in a, b and K_d.
+        """The mixture (1 − t)·self + t·other, linear in a, b and K_d, with t in 0…1.
 
-        It has the wavelengths of both waters, in the range that both cover, and both provenances.
-        A water mixed with itself is itself.
-
-        Args:
-            other: the water to mix in.
-            t: share of the other water, 0…1.
-
-        Raises:
-            TypeError: if ``other`` is no ``Water``.
-            ValueError: if t is outside [0, 1], or the two have no common wavelength range.
+        It has the wavelengths of both waters, in the range that both cover (ValueError if there is
+        none), and both provenances. A water mixed with itself is itself.
 
         Examples:
             >>> Water.jerlov("II").mix(Water.jerlov("7C"), 0.3)
@@ -257,15 +218,8 @@ class Water(Spectra):
         """Horizontal visibility V [m]: the distance at which contrast falls to 2 %.
 
         Contrast is that of luminance: ∫ ȳ e^(−β V) dλ / ∫ ȳ dλ = 0.02 with the CIE 1931 observer ȳ
-        over 400–700 nm, or the part of it that this water covers. A grey water has
-        V = −ln 0.02 / β. Type I has 78 m, near the clearest water on record, where its best
-        transmitted wavelength alone has 179 m.
-
-        Returns:
-            The visibility, inf where nothing is attenuated.
-
-        Raises:
-            ValueError: if the water has no wavelength in 400–700 nm.
+        over 400–700 nm, or the part of it that this water covers (ValueError if there is none). It
+        is inf where nothing is attenuated.
 
         References:
             Duntley, *Light in the sea*, JOSA 53 (1963): contrast along a horizontal path falls as
@@ -285,12 +239,7 @@ class Water(Spectra):
 
         It is the contrast with the open water behind the object, as of a Secchi disc, and depends
         on the water alone. ``uwaug.contrast_left``, of patterns on an object, depends on depth, g
-        and μ as well: where this is .5, that is .38 to .39 with g = .2 and μ = .3, and .54 to .56
-        with g = .05 and μ = .075 (types 1C, 7C and II, 3 m).
-
-        Raises:
-            TypeError, ValueError: if the distance is no number, negative or infinite; or as
-                ``visibility()``.
+        and μ as well: where this is .5, that is .38 to .56 (types 1C, 7C and II, 3 m).
 
         Examples:
             >>> round(Water.jerlov("II").contrast(3), 3)
@@ -300,11 +249,8 @@ class Water(Spectra):
         return self._luminance(self.beta, metres)
 
     def metres_for(self, contrast: float) -> float:
-        """Distance [m] at which an object keeps this share of its luminance contrast; inf where
-        nothing is attenuated. The inverse of ``contrast(metres)``.
-
-        Raises:
-            ValueError: if the share does not lie above 0 and up to 1.
+        """Distance [m] at which an object keeps this share, above 0, of its luminance contrast; inf
+        where nothing is attenuated. The inverse of ``contrast(metres)``.
         """
         checks.positive("contrast", contrast)
         checks.within("contrast", contrast, 0.0, 1.0)
@@ -330,10 +276,9 @@ class Water(Spectra):
             metres: distance [m], > 0.
 
         Raises:
-            ValueError: if ``contrast`` is more than pure water allows, or cannot be reached because
-                nothing but water is there to be scaled; if ``metres`` is no positive number; if the
-                spectra leave 300–800 nm, where the absorption of pure water is tabulated; or as
-                ``visibility()``.
+            ValueError: if ``contrast`` is more than pure water allows, or nothing but water is
+                there to be scaled; if ``metres`` is not positive; if the spectra leave 300–800 nm,
+                where pure water is tabulated.
 
         References:
             a_w: Buiteveld et al. 1994, as used by Williamson and Hollins 2022. b_w: Morel 1974, as
@@ -354,15 +299,15 @@ class Water(Spectra):
         name = f"{self.name} with {contrast:g} of the contrast at {metres:g} m"
         factor = self.contents_for(contrast, metres)
         if math.isinf(factor):
-            nothing = f"there is nothing to scale to a contrast of {contrast:g} at {metres:g} m"
-            raise ValueError(f"{self.name!r} is nothing but pure water to the eye: {nothing}")
+            raise ValueError(
+                f"{self.name!r} is nothing but pure water to the eye: nothing to scale"
+            )
         provenance = (*self.provenance, f"{name}: all but pure water scaled by {factor:.4g}")
         return self._scaled(factor, name, provenance)
 
     def contents_for(self, contrast: float, metres: float) -> float:
-        """Factor s of ``with_contrast`` on the contents of the water: 0 where pure water alone
-        leaves no more, infinity where nothing but pure water is there to be scaled, 1 at an
-        infinite distance.
+        """Factor s of ``with_contrast``: 0 where pure water alone leaves no more, infinity where
+        nothing but pure water is there to be scaled, 1 at an infinite distance.
         """
         checks.positive("contrast", contrast)
         if math.isinf(metres):
@@ -424,16 +369,14 @@ class Water(Spectra):
         with np.errstate(over="ignore"):
             table = pure + factor * (fine._table(fine.wavelengths) - pure)
         if not np.isfinite(table).all():
-            times = f"its contents would be {factor:.4g} times as much"
-            raise ValueError(f"{name} is out of reach: {times}")
+            raise ValueError(f"{name} is out of reach: it needs {factor:.4g} times its contents")
         # where K_d is below a, the difference grows with the contents
         table[2] = np.maximum(table[2], LEAST_LOSS * table[0])
         return self._derived(fine.wavelengths, table, name, provenance)
 
     def _fine(self) -> Self:
-        """This water at the bands of a medium, too, so that it has the same contents whether it is
-        taken to these bands before it is scaled or after: the spectrum of pure water is not linear
-        between wavelengths 25 nm apart.
+        """This water at the bands of a medium, too, between which pure water is about linear: so it
+        makes no difference whether it is scaled or taken to these bands first.
         """
         bands = bands_between(float(self.wavelengths[0]), float(self.wavelengths[-1]))
         if np.array_equal(self.wavelengths, bands):
@@ -441,9 +384,7 @@ class Water(Spectra):
         return self.at(np.union1d(self.wavelengths, bands))
 
     def _derived(self, axis: Array, table: Array, name: str, provenance: tuple[str, ...]) -> Self:
-        """A water of valid spectra, without checks, which would take longer than all else that a
-        transform asks of a water at every picture.
-        """
+        """A water of valid spectra, without checks, which would take most of a transform's time."""
         water = object.__new__(type(self))
         table.flags.writeable = False
         axis.flags.writeable = False
@@ -464,7 +405,7 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
 
     Args:
         water: a Jerlov type, "3C" or "Jerlov 3C"; a place, "reef", "harbour", "lake" or "fjord"; a
-            mixture of two Jerlov types, "0.7*3C+0.3*7C", see `Water.mix`; contents such as
+            mixture of two Jerlov types, "0.7*3C+0.3*7C"; contents such as
             "chlorophyll=5,cdom=0.3,minerals=1" (see `Water.from_constituents`); or the path of a
             CSV file (a string that ends in ``.csv``, or any path object) whose rows are wavelength
             [nm], a, b, K_d [1/m], separated by commas or semicolons, with or without one header
@@ -472,9 +413,7 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
             b, which is c − a, and K_d may be missing, which then follows from a and b.
 
     Raises:
-        TypeError: if ``water`` is none of these.
-        ValueError: if the name is unknown, a content has a range, or the file is no such table; the
-            message names the line.
+        TypeError, ValueError: if it is none of these, or the file no such table (with the line).
         OSError: if the file cannot be read.
 
     Examples:
@@ -484,10 +423,8 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
     if isinstance(water, Water):
         return water
     if not isinstance(water, str | os.PathLike):
-        raise TypeError(
-            "water must be a Jerlov type, contents such as 'chlorophyll=5', the path of a CSV file "
-            f"or a uwaug.Water, got {water!r:.80}; see Water.jerlov"
-        )
+        expected = "a Jerlov type, contents such as 'chlorophyll=5', a CSV file or a uwaug.Water"
+        raise TypeError(f"water must be {expected}, got {water!r:.80}; see Water.jerlov")
     if not isinstance(water, str) or water.lower().endswith(".csv"):
         return _read_csv(Path(water))
     if "*" in water:
@@ -497,14 +434,12 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
     if "=" not in water:
         type = re.sub("^jerlov[ _-]*", "", water, flags=re.IGNORECASE)  # as sheets have it
         if type.upper() not in JERLOV_TYPES:
-            alternatives = "contents such as 'chlorophyll=5', or a file that ends in .csv"
-            names = ", ".join((*JERLOV_TYPES, *PLACES))
-            raise ValueError(f"water must be one of {names}; {alternatives}; got {water!r}")
+            names = ", ".join((*JERLOV_TYPES, *PLACES, "contents such as 'chlorophyll=5'"))
+            raise ValueError(f"water must be one of {names}, or a .csv file; got {water!r}")
         return Water.jerlov(type)
     contents = Constituents.parse(water)
     if not contents.fixed:
-        cause = "RandomUnderwater draws from ranges, here is one water"
-        raise ValueError(f"water must have one number for each content, got {water!r}: {cause}")
+        raise ValueError(f"water must have one number for each content, got {water!r}")
     return Water.from_constituents(name=contents.name, **contents.amounts)
 
 
@@ -516,8 +451,8 @@ def _mixture(text: str) -> Water:
     except ValueError:
         first_share = share = math.nan
     if not (first_share >= 0 and share >= 0 and abs(first_share + share - 1) < 1e-6):
-        expected = "a mixture of two whose shares add up to 1, such as 0.7*3C+0.3*7C"
-        raise ValueError(f"water: expected {expected}, got {text!r:.80}")
+        expected = "two types whose shares add up to 1, such as 0.7*3C+0.3*7C"
+        raise ValueError(f"water must mix {expected}, got {text!r:.80}")
     water, other = (Water.jerlov(name.strip()) for name in (first, second))
     mixture = water.mix(other, share)
     table = mixture._table(mixture.wavelengths)
@@ -574,9 +509,7 @@ def _contents_for(
     pure: Array,
     contents: Array,
 ) -> float:
-    """Factor of `Water.contents_for`, from the rates of pure water and contents at the water's
-    wavelengths, and the eye's nodes and weights.
-    """
+    """`Water.contents_for`, of the rates of pure water and contents at the water's wavelengths."""
     luminance = weights * np.exp(np.interp(nodes, wavelengths, pure) * -metres)
     if luminance.sum() <= contrast:
         return 0.0

@@ -306,8 +306,12 @@ class RandomUnderwater(SampleTransform):
 
     def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
         image, distance, restore = self.take_apart(inputs)
-        pictures_of(image)  # refuses what is no image
-        scenes = self.scenes(image, distance, self.make_params(image, generator))
+        pictures = pictures_of(image)
+        record = self.make_params(image, generator)
+        if is_film(image):
+            return restore(self.transform(image, distance, record))
+        draws = [Draw(**sample) for sample in record["samples"]]  # as just drawn, unchecked
+        scenes = scenes_of(image, pictures, distance, draws, self._nouns, self.view)
         return restore(scenes.formed())
 
     def __repr__(self) -> str:

@@ -201,8 +201,8 @@ def _metres_of(
             if source.reads_pictures and color_space == "linear":
                 light = picture if picture.is_floating_point() else picture / 255
                 srgb = linear_to_srgb(light.clamp(0, 1))
-            rays = {"focal_px": view.focal(picture.shape[-1]), "center": view.center}
             with naming(i, len(pictures)):
+                rays = view.planar(picture.shape[-1])
                 metres = source.metres(metres, srgb, draw.distance, **rays)
         if metres.dtype.itemsize < 4:
             metres = metres.float()

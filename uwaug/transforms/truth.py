@@ -48,7 +48,7 @@ class Truth(NamedTuple):
 
         gain @ (signal + veil)
 
-    and its development's gamut, tone and noise on top of that.
+    but for the sensor's noise, which comes before the gain, and gamut and tone after it.
 
     Attributes:
         clean (3xHxW): the scene J without water.

@@ -1,0 +1,124 @@
+"""One view: planar depth, blur, daylight, lamps and snow follow it, of a crop as of the whole."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from scenes import rand
+
+from uwaug import (
+    Lamp,
+    Light,
+    MarineSnow,
+    Medium,
+    PointSpread,
+    RandomUnderwater,
+    RandomWater,
+    Underwater,
+    View,
+    contrast_left,
+    form_image,
+)
+from uwaug.distance import Metres, along_ray
+
+SIZE, LEFT, TOP = (96, 160), 88, 30
+WATER = {"vertical_depth": 5.0, "g": 0.05, "surfaces": "spectral"}
+SHARP = Medium.from_water("3C", point_spread=PointSpread.none(), **WATER)
+LAMP = Lamp((0.4, -0.3, 0.0), 3.0, (-0.1, 0.1, 1.0), cone=45.0)
+VIEWS = {"degrees": View(75.0), "px": View(focal_px=90.0), "aside": View(60.0, None, (40.0, 70.0))}
+
+
+def part(x: torch.Tensor) -> torch.Tensor:
+    """Of 48x64 px, to the right of the middle."""
+    return x[..., TOP : TOP + 48, LEFT : LEFT + 64]
+
+
+@pytest.mark.parametrize("name", VIEWS)
+@pytest.mark.parametrize("light", [Light(pitch=12.0), Light((LAMP,), daylight=0.3, pitch=-20.0)])
+def test_a_crop_is_a_part_of_the_whole(light: Light, name: str) -> None:
+    image, z, view = rand(1, 3, *SIZE), 1 + 4 * rand(1, 1, *SIZE, seed=1), VIEWS[name]
+    whole = form_image(image, z, SHARP, light=light, view=view).image
+    options: dict[str, Any] = {"light": light, "view": view.crop(SIZE, LEFT, TOP)}
+    crop = form_image(part(image), part(z), SHARP, **options).image
+    torch.testing.assert_close(crop, part(whole), rtol=1e-9, atol=1e-12)
+    left, all_left = (
+        contrast_left(distance, SHARP, light=light, view=seen)
+        for distance, seen in ((part(z), options["view"]), (z, view))
+    )
+    torch.testing.assert_close(left, part(all_left), rtol=1e-9, atol=1e-12)
+    with_loops = (
+        Underwater(SHARP, None, light=light, view=seen)(x.float(), distance.float())
+        for x, distance, seen in ((part(image), part(z), options["view"]), (image, z, view))
+    )
+    crop, whole = with_loops
+    torch.testing.assert_close(crop, part(whole), rtol=0, atol=2e-6)
+
+
+def test_a_crop_has_the_blur_of_the_whole() -> None:
+    medium = Medium.from_water("3C", point_spread=PointSpread.calibrated(), **WATER)
+    for view in VIEWS.values():
+        whole = medium.in_pixels(SIZE, view)
+        crop = medium.in_pixels((48, 64), view.crop(SIZE, LEFT, TOP))
+        torch.testing.assert_close(crop.scale, whole.scale)
+        double = medium.in_pixels((192, 320), view.resized(2.0))
+        torch.testing.assert_close(double.scale, 2 * whole.scale)
+
+
+def test_a_crop_has_the_planar_depth_of_the_whole() -> None:
+    depth, view = 1 + 4 * rand(1, *SIZE).float(), View(focal_px=90.0)
+    water = RandomWater(SHARP, field=None)
+    aug = RandomUnderwater(water, distance=Metres(planar=True), view=view)
+    crop = RandomUnderwater(water, distance=Metres(planar=True), view=view.crop(SIZE, LEFT, TOP))
+    image = rand(3, *SIZE).float()
+    whole = aug.scenes(image, depth, aug.make_params(image)).metres[0]
+    torch.testing.assert_close(whole, along_ray(depth, 90.0))
+    ours = crop.scenes(part(image), part(depth), crop.make_params(part(image))).metres[0]
+    torch.testing.assert_close(ours, part(whole))
+
+
+def test_snow_is_as_dense_in_a_crop() -> None:
+    image, z = torch.zeros(3, *SIZE), torch.full((1, *SIZE), 20.0)
+    seen = []
+    for view, height, width in ((View(), 96, 160), (View().crop(SIZE, 120, 66), 30, 40)):
+        total = 0.0
+        for seed in range(12):
+            snowy = Medium.from_water("I").with_snow(MarineSnow(2e4, seed=seed))
+            clear, white = (
+                Underwater(medium, None, color_space="linear", view=view)
+                for medium in (snowy.with_snow(None), snowy)
+            )
+            x, distance = image[:, :height, :width], z[:, :height, :width]
+            total += float((white(x, distance) - clear(x, distance)).mean())
+        seen.append(total)
+    assert seen[1] == pytest.approx(seen[0], rel=0.25)
+
+
+def test_degrees_and_px_are_one() -> None:
+    focal = 80 / math.tan(math.radians(35))
+    assert View(70.0).focal(160) == pytest.approx(focal)
+    assert View(focal_px=focal).middle(SIZE) == (79.5, 47.5)
+    assert View(focal_px=focal).resized(0.5) == View(focal_px=focal / 2)
+    assert RandomUnderwater(view=70).view == Underwater(SHARP, view=70.0).view == View(70.0)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"degrees": 180.0}, r"view: degrees must be in \[1, 170\], got 180"),
+        ({"focal_px": 0.0}, "view: focal_px must be finite and > 0"),
+        ({"center": 3.0}, "view: center must be"),
+    ],
+)
+def test_what_is_no_view_is_refused(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        View(**arguments)
+
+
+def test_a_focal_length_in_millimetres_is_refused() -> None:
+    image, depth = rand(3, *SIZE).float(), torch.ones(1, *SIZE)
+    aug = RandomUnderwater("II", distance=Metres(planar=True), view=View(focal_px=2.8))
+    with pytest.raises(ValueError, match=r"focal_px must be in px of the picture, got 2.8: a lens"):
+        aug(image, depth)
+    with pytest.raises(TypeError, match=r"view must be a uwaug\.View, got str; or give its angle"):
+        RandomUnderwater(view="wide")
