@@ -76,7 +76,7 @@ def test_relative_distance_0_is_no_hole() -> None:
 
 
 REFUSED: list[tuple[Any, Any, str]] = [
-    (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: holes="),
+    (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: give holes="),
     (Metres(), 2000 * (T + 1), "metres.*millimetres"),
     (Metres(planar=True), T + 1, "focal_px must be finite and > 0 px, got 0.0"),
     (Metres("fill"), 0 * T, "have a known pixel"),

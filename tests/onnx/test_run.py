@@ -67,7 +67,7 @@ def test_what_does_not_suit_a_file_is_refused(frozen, waters) -> None:
         (lambda: serve(image, distance, absolute), r"its law of widths must be Law\(.*, got Law"),
         (lambda: serve(image, distance, MEDIUM.with_snow(MarineSnow())), "marine snow, which no"),
         (lambda: serve(image, distance, wide), "its widths lie beyond the plan of the file"),
-        (lambda: serve(image, distance, spectral), "the file is for grey surfaces"),
+        (lambda: serve(image, distance, spectral), "medium must be of grey surfaces"),
         (lambda: run((255 * image).int(), distance), "image must be a floating-point"),
         (lambda: run(255 * image, distance), "divide a 0…255 image by 255"),
         (lambda: run(image, distance[..., 1:]), r"distance is \(45, 61\) but image is \(45, 62\)"),

@@ -23,7 +23,7 @@ def as_range(
     if not (least <= low <= high <= most and math.isfinite(low) and math.isfinite(high)):
         domain = f"{checks.bounds(least, most)} {unit}".rstrip()
         expected = f"a number or a range (low, high) with low ≤ high, {domain}"
-        raise ValueError(f"{name} must be {expected}, got {value!r}")
+        raise ValueError(f"{name} must be {expected}; got {value!r}")
     return low, high
 
 

@@ -1,14 +1,12 @@
 """Banded matrices that blur, shrink and enlarge one axis of an image, applied block by block.
 
-A Gaussian blur with half-sample symmetric edges is a banded matrix per axis. So is "blur, then keep
-every m-th sample", and so is spline interpolation back. The reflection at the edges is folded into
-the entries, grids need not divide the image size, and the adjoint is the transpose.
+A Gaussian blur with half-sample symmetric edges is a banded matrix per axis; so are "blur, then
+keep every m-th sample" and spline interpolation back. The adjoint is the transpose.
 
 Each matrix is cut into row blocks that hold only the columns in use. Blocks that repeat are one
-batched matrix product on overlapping windows. On a CPU that is as fast as one scaled addition per
-tap for the narrowest kernels and faster for all others: for 3×256² and σ = 4 px one thread takes
-0.28 ms, with scaled additions 1.0, a dense matrix 1.8, and kornia's convolution 2.7. Only the edges
-and one period of blocks are made: nothing grows with the square of the image's side.
+batched matrix product on overlapping windows. For 3×256² and σ = 4 px one thread takes 0.28 ms,
+with scaled additions 1.0, a dense matrix 1.8, and kornia's convolution 2.7. Only the edges and one
+period of blocks are made: nothing grows with the square of the image's side.
 """
 
 import math
@@ -66,21 +64,13 @@ class Banded(NamedTuple):
 
 
 class Kernels(NamedTuple):
-    """Banded matrix A for an axis of any length: a kernel for each row, repeated with a period.
+    """Banded matrix A for an axis of any length: a kernel for each row, repeated with a period."""
 
-    Attributes:
-        first (p): first column of the first p rows.
-        weights (p, taps): weights of the columns from there on.
-        step: columns from one period to the next.
-        shift: row that begins a period.
-        reflects: columns beyond the edges are folded back.
-    """
-
-    first: Index
-    weights: Array
-    step: int
-    shift: int
-    reflects: bool
+    first: Index  # (p) first column of the first p rows
+    weights: Array  # (p, taps) weights of the columns from there on
+    step: int  # columns from one period to the next
+    shift: int  # row that begins a period
+    reflects: bool  # columns beyond the edges are folded back
 
     @property
     def taps(self) -> int:
@@ -107,13 +97,7 @@ class Kernels(NamedTuple):
 
 
 class Matrix(NamedTuple):
-    """Banded matrix A, or its transpose, for an axis of a given length.
-
-    Attributes:
-        kernels: kernels of the rows of A.
-        rows, cols: size of A.
-        transposed: this is Aᵀ.
-    """
+    """Banded matrix A of a size, or its transpose, with the kernels of the rows of A."""
 
     kernels: Kernels
     rows: int
@@ -156,9 +140,8 @@ class Matrix(NamedTuple):
     def banded(
         self, axis: int, height: int, period: int, dtype: torch.dtype, device: torch.device
     ) -> Banded:
-        """Cut the matrix into blocks of `height` rows. It repeats every `period` rows.
-
-        In memory the blocks lie as the product along `axis` wants them.
+        """Cut the matrix, which repeats every `period` rows, into blocks of `height` rows. They lie
+        in memory as the product along `axis` wants them.
         """
 
         def blocks(start: int, stop: int) -> list[Run]:
@@ -250,10 +233,9 @@ class Node(NamedTuple):
     reach: float
 
 
+# Matrices for fifty sizes of a small picture, or for a few of a large one. With 16 MiB a process
+# that gets pictures of random size is no faster, and grows by half: blocks lie between temporaries.
 _CACHE: Cache[Banded] = Cache(8 * 2**20)
-"""Matrices for fifty sizes of a small picture, or for a few of a large one. With 16 MiB a process
-that gets pictures of random size is no faster, and grows by half: blocks lie between temporaries.
-"""
 
 
 @lru_cache(maxsize=256)
@@ -288,15 +270,9 @@ def operator(
     device: torch.device,
     adjoint: bool = False,
 ) -> Banded:
-    """Matrix of a node for an axis of `size` px, or its transpose, in blocks.
-
-    Args:
-        kind: "blur" on the image's grid; "shrink" to a coarser one, "enlarge" back.
-        axis: 0 for rows, 1 for columns.
-        size: the image's, along that axis, px.
-        node: one blur of a stack.
-        adjoint: transpose it. A blur is its own transpose: with half-sample reflection, the cosine
-            transform diagonalises it.
+    """Matrix of a node for an axis (0 for rows) of `size` px, or its transpose, in blocks: "blur"
+    on the image's grid; "shrink" to a coarser one, "enlarge" back. A blur is its own transpose:
+    with half-sample reflection, the cosine transform diagonalises it.
     """
     key = (kind, axis, size, node, dtype, device, adjoint)
     banded = _CACHE.get(key)

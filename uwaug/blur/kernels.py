@@ -10,31 +10,20 @@ from torch import Tensor
 
 from uwaug._support.types import Array
 
-PERIOD = 16
-"""Period of grids (px): their cells divide it evenly, or are whole multiples of it. Strips of rows
-are multiples of it.
-"""
-
+PERIOD = 16  # of grids, px: their cells divide it evenly, or are whole multiples of it
 MARGIN = 2  # cells of a grid beyond either edge, which a cubic spline needs
-
-_POLE = math.sqrt(3.0) - 2.0
-"""Pole of the filter that turns samples into cubic B-spline coefficients."""
-
+_POLE = math.sqrt(3.0) - 2.0  # of the filter that makes cubic B-spline coefficients of samples
 _SPLINE_REACH = 8  # cells that the filter reaches: |_POLE|^8 = 3e-5, where the Gaussian leaves 1e-2
 
 
 def sampled_parameter(sigma: Array) -> Array:
-    """Parameter of the sampled Gaussian whose variance is sigma² px²: sigma itself from 1 px on.
-
-    A sampled Gaussian of σ = 0.5 px has a variance of 0.215 px² instead of 0.25.
-    """
+    """Parameter of the sampled Gaussian whose variance is sigma² px²: sigma itself from 1 px on."""
     parameters, variances = _sampled_variances()
     return np.where(sigma < 1, np.interp(sigma**2, variances, parameters), sigma)
 
 
 @lru_cache(maxsize=1)
 def _sampled_variances() -> tuple[Array, Array]:
-    """Parameters of sampled Gaussians, and their variances."""
     parameters = np.linspace(0.08, 1.05, 4096)
     squares = np.arange(1, 9) ** 2
     weights = np.exp(-0.5 * squares / parameters[:, None] ** 2)
@@ -97,9 +86,7 @@ def shrink_kernels(
 
 
 def enlarge_kernels(index: Tensor, a: int, q: int) -> tuple[Tensor, Tensor]:
-    """First cell (n) and weights (n, 4) of pixels `index` (n), for the cubic B-spline with
-    coefficients on a grid of `a` cells for each `q` px.
-    """
+    """First cell (n) and weights (n, 4) of the cubic B-spline at pixels `index` (n), see above."""
     x = (torch.remainder(index, q).double() + 0.5) * (a / q) - 0.5
     first = torch.floor(x).long() + torch.div(index, q, rounding_mode="floor") * a - 1
     t = (x - torch.floor(x))[:, None]

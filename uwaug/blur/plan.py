@@ -21,62 +21,39 @@ from uwaug._support import checks
 from uwaug._support.types import Array, Shape
 from uwaug.blur.kernels import PERIOD, sampled_parameter
 
-V_FLOOR = 0.5
-"""Offset in v that keeps it finite at σ = 0: px² of a Gaussian, px of an exponential shape."""
-
+V_FLOOR = 0.5  # keeps v finite at σ = 0: px² of a Gaussian, px of an exponential shape
 _CONTRAST = 0.25  # standard deviation of the picture that errors refer to (0…1)
 
 # What other values make of the number of blurs: benchmarks/CHOICES.md, "Plans of the blur".
-# Planned RMSE as a share of the tolerance: .002 gives 60 dB and .0005 72 dB.
-_PLANNED_SHARE = 0.48
-# The same if _MOST_NODES are not enough, as for the sharp tails of an exponential shape.
-_PLANNED_SHARE_AT_MOST = 0.6
-# Most blurs of a stack, beside σ = 0.
-_MOST_NODES = 32
-# Places in the range at which the weights are fitted.
-_PLACES = 33
-# Number of errors of a single blur that make up the planned RMSE.
-_BLUR_ERRORS = 3
-# A range from below this has σ = 0 among its blurs.
-_IDENTITY_BELOW_PX = 0.75
+_PLANNED_SHARE = 0.48  # planned RMSE over the tolerance: .002 gives 60 dB and .0005 72 dB
+_PLANNED_SHARE_AT_MOST = 0.6  # the same where _MOST_NODES are not enough, as for sharp tails
+_MOST_NODES = 32  # blurs of a stack, beside σ = 0
+_PLACES = 33  # in the range, at which the weights are fitted
+_BLUR_ERRORS = 3  # errors of a single blur that make up the planned RMSE
+_IDENTITY_BELOW_PX = 0.75  # a range from below this has σ = 0 among its blurs
 # The least width beside σ = 0: px, or a share of the widest σ if that is less.
-_NARROWEST_PX = 0.6
-_NARROWEST_SHARE = 0.7
+_NARROWEST_PX, _NARROWEST_SHARE = 0.6, 0.7
 # An exponential shape of σ mixes Gaussians of widths σ/|N(0, 1)|, and .8/x of its light lies beyond
 # x·σ. Its widest blur is _TAIL/target·σ.
 _TAIL = 0.4
-# The widest blur in longest sides; wider ones all give the mean.
-_WIDEST_SIDES = 0.75
-# The narrowest blur as a share of the narrowest σ.
-_CORE_SHARE = 0.5
-# The narrowest blur beside σ = 0.
-_NARROWEST_EXPONENTIAL_PX = 0.3
-# Step to which shared plans round the error of grids and kernels.
-_STEP_DB = 6
+_WIDEST_SIDES = 0.75  # the widest blur in longest sides; wider ones all give the mean
+_CORE_SHARE = 0.5  # the narrowest blur as a share of the narrowest σ
+_NARROWEST_EXPONENTIAL_PX = 0.3  # the narrowest blur beside σ = 0
+_STEP_DB = 6  # to which shared plans round the error of grids and kernels
 
 
 @dataclass(frozen=True)
 class BlurPlan:
-    """Plan of a spatially varying blur, made by `plan_blur`.
+    """Plan of a spatially varying blur, made by `plan_blur`."""
 
-    Attributes:
-        sigma_min, sigma_max: range of widths, px; a pixel outside gets the nearer end.
-        sigmas: the K fixed widths, px; 0 is the image itself.
-        cells: grid cell of each, px; 1 is the image's grid.
-        coefficients: weights as K polynomials in v over the range, Chebyshev series; they sum to 1.
-        reach: kernels are cut at reach·σ.
-        error: predicted RMSE over the range, on a picture with a standard deviation of 0.25.
-        shape: shape of the blur at a pixel.
-    """
-
-    sigma_min: float
+    sigma_min: float  # this and the next: range of widths, px; pixels outside get the nearer end
     sigma_max: float
-    sigmas: tuple[float, ...]
-    cells: tuple[float, ...]
-    coefficients: tuple[tuple[float, ...], ...]
-    reach: float
-    error: float
-    shape: Shape = "gaussian"
+    sigmas: tuple[float, ...]  # the K fixed widths, px; 0 is the image itself
+    cells: tuple[float, ...]  # grid cell of each, px; 1 is the image's grid
+    coefficients: tuple[tuple[float, ...], ...]  # weights as K Chebyshev series in v, of sum 1
+    reach: float  # kernels are cut at reach·σ
+    error: float  # predicted RMSE over the range, on a picture with a standard deviation of 0.25
+    shape: Shape = "gaussian"  # of the blur at a pixel
 
     def __hash__(self) -> int:
         return hash((self.sigma_min, self.sigma_max, self.sigmas, self.shape))
@@ -109,8 +86,7 @@ def plan_blur(
     Args:
         sigma_min, sigma_max: range of widths, px, 0 ≤ sigma_min ≤ sigma_max.
         tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f².
-            Single pixels may be off by 3 to 5 times as much. Half of it is planned: .002 gives
-            60 dB and .0005 72 dB on a picture with a standard deviation of .25.
+            Single pixels may be off by 3 to 5 times as much. Half of it is planned.
         shape: transfer function at width σ. "gaussian": exp(−2π²σ²f²). "exponential": exp(−2πσf),
             of McGlamery (1980) and Jaffe (1990); its point spread ∝ (r² + σ²)^(−3/2) has half of
             its energy beyond 1.7 σ and no finite variance. Below 2 px both are as samples hold
@@ -181,10 +157,8 @@ def _octave(shape: Shape, longest: float) -> float:
 
 
 def _wanted(low: float, high: float, shape: Shape, longest: float) -> tuple[Array, Array]:
-    """Places in the range, −1…1, and the wanted amplitudes (P, F) at each.
-
-    Places lie denser towards the ends, where the fit is worst. A single width has a single place.
-    """
+    """Places in the range, −1…1, and the wanted amplitudes (P, F) at each."""
+    # places lie denser towards the ends, where the fit is worst
     start, end = _v(low, shape), _v(high, shape)
     places = np.ones(1) if end - start < 1e-6 else -np.cos(np.linspace(0, np.pi, _PLACES))
     v = end + 0.5 * (end - start) * (places - 1)
@@ -222,10 +196,8 @@ def _snapped(sigmas: tuple[float, ...]) -> tuple[float, ...]:
 def _fit(
     sigmas: tuple[float, ...], places: Array, wanted: Array, noise: float, longest: float
 ) -> tuple[Array, float]:
-    """Weights of the blurs as Chebyshev series over the range (K, degree + 1), and their RMSE.
-
-    noise: error budget of a single blur (coarse grid, truncated kernel). It is also the ridge that
-    stops similar blurs from getting large opposite weights.
+    """Weights of the blurs as Chebyshev series over the range (K, degree + 1), and their RMSE. The
+    noise of a single blur is the ridge that keeps similar ones from large opposite weights.
     """
     k = len(sigmas)
     basis = _gaussian_transfer(np.array(sigmas), longest) * _amplitude(longest)
@@ -293,10 +265,8 @@ def _amplitude(longest: float) -> float:
 
 @lru_cache(maxsize=8)
 def _frequencies(longest: float) -> Array:
-    """Frequencies (2, F), in cycles per px, of a picture whose longest side is `longest` px.
-
-    Rings at equal steps of log f hold equal power: area ∝ f·df, power density ∝ 1/f².
-    """
+    """Frequencies (2, F), in cycles per px, of a picture whose longest side is `longest` px."""
+    # rings at equal steps of log f hold equal power: area ∝ f·df, power density ∝ 1/f²
     radius = np.geomspace(0.5 / longest, math.sqrt(0.5), 48)
     angle = np.array([0.0, math.pi / 8, math.pi / 4])
     f = np.stack([np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle))])

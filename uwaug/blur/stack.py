@@ -19,18 +19,16 @@ def varying_blur(
     """Blur every pixel with a Gaussian of its own width; edges are half-sample symmetric.
 
     Args:
-        image (BxCxHxW tensor): float32 or float64, any scale.
+        image (BxCxHxW tensor): floating point, any scale; half precision is computed in float32.
         sigma (Bx1xHxW tensor): widths, px, finite, ≥ 0.
         plan: from `plan_blur`; by default one for the range of `sigma`.
         tolerance: of that plan, see `plan_blur`.
 
     Returns:
-        (BxCxHxW) tensor of the image's dtype, differentiable in both. Half precision is computed in
-        float32.
+        (BxCxHxW) tensor of the image's dtype, differentiable in both.
 
     Raises:
-        TypeError, ValueError: if types or sizes do not suit, or a width is negative, infinite or
-            NaN.
+        TypeError, ValueError: if types, sizes or a width do not suit.
     """
     _validate(image, sigma)
     if image.numel() == 0 or sigma.numel() == 0:
@@ -57,9 +55,7 @@ def _validate(image: Tensor, sigma: Tensor) -> None:
         return
     low, high = checks.extent(sigma)
     if not (low >= 0 and high < math.inf):
-        raise ValueError(
-            "sigma must be finite and ≥ 0 px everywhere; it holds a negative, infinite or NaN value"
-        )
+        raise ValueError(f"sigma must be finite and ≥ 0 px everywhere, got {low:g}…{high:g}")
 
 
 def mixed(stack: list[Tensor], weights: Tensor) -> Tensor:
@@ -76,14 +72,10 @@ def node_weights(sigma: Tensor, plan: BlurPlan) -> Tensor:
     coefficients = sigma.new_tensor(plan.coefficients)
     if coefficients.shape[1] == 1:
         return coefficients[:, :, None].expand(len(sigma), -1, *sigma.shape[-2:])
-    return _series(coefficients, _place(sigma, plan))
-
-
-def _place(sigma: Tensor, plan: BlurPlan) -> Tensor:
-    """Places, −1…1, of widths in a plan's range."""
     slope, offset = place_line(plan)
     x = (sigma if plan.shape == "exponential" else sigma * sigma) * (1 / V_FLOOR)
-    return torch.log1p(x).mul_(slope).add_(offset).clamp(-1, 1)
+    places = torch.log1p(x).mul_(slope).add_(offset).clamp(-1, 1)
+    return _series(coefficients, places)
 
 
 def _series(coefficients: Tensor, x: Tensor) -> Tensor:

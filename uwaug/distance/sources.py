@@ -228,6 +228,6 @@ def _without_holes(z: Tensor, holes: Holes) -> Tensor:
     # the least is NaN if any is; a mask of all pixels takes several times as long
     if z.numel() and not z.detach().amin() > 0:
         counts = checks.counted(z, "NaN", "negative", "zero")
-        cure = "holes='behind' (--holes behind, for depth cameras), fill, far or metres"
+        cure = "give holes='behind' (--holes behind, for depth cameras), fill, far or metres"
         raise ValueError(f"distance must be above 0 m, but is {counts}: {cure}")
     return z

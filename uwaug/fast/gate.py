@@ -24,10 +24,8 @@ from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.snow import MarineSnow
 
 _log = logging.getLogger(__name__)
-
+# what the loops compute, but no subclasses of it
 _CLASSES = {Development, Sensor, Light, MarineSnow, type(None)}
-"""Classes that the loops compute, but no subclasses of them."""
-
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 
@@ -68,10 +66,7 @@ def load() -> bool:
 
 def warm_up() -> None:
     """Compile all loops, so that no picture waits for the compiler. They are kept on disk, beside
-    the package or in NUMBA_CACHE_DIR.
-
-    Raises:
-        ModuleNotFoundError: if numba is missing, switched off, or does not work.
+    the package or in NUMBA_CACHE_DIR. Without numba it is a ModuleNotFoundError.
     """
     if not (wanted() and load()):
         raise ModuleNotFoundError("the compiled loops need numba: pip install 'uwaug[fast]'")
@@ -129,5 +124,4 @@ def inner(function: _F) -> _F:
     return compiled
 
 
-kernel = kept
-"""Compile loops that Python calls, once, and keep them on disk where a folder can be written to."""
+kernel = kept  # compiles loops that Python calls, once, and keeps them on disk

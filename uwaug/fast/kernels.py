@@ -143,9 +143,7 @@ def decode(x: Any) -> Any:
 
 @inner
 def encode_unit(x: Any) -> Any:
-    """Encode linear light as sRGB, clipped to 0…1. (By two square roots and one polynomial it
-    takes 20 % longer, by `log2` and `exp2` 2.5 times as long.)
-    """
+    """Encode linear light as sRGB, clipped to 0…1. (2.5 times as fast as by `log2`.)"""
     a = max(x, _0)
     e, m = _split(min(max(a, _LINEAR_KNEE), _1))
     v, u = m * _P_SCALE - _P_SHIFT, f32(e) * f32(0.25) + _1
@@ -174,19 +172,12 @@ def nearest(x: Any) -> Any:
 
 # ------------------------------------------------------------------------------ tiles
 
-TILE = 256
-"""Width of a tile, px. (128 takes 2 to 10 % longer; 512 takes as long, but half as long again for
-pictures of 256 px; 1024 takes half as long again.)
-"""
-
+TILE = 256  # px, width of a tile; others take up to half as long again
+# Pixels of which a tile has a multiple; and lines that go through a coarse grid side by side. (16
+# takes 10 to 80 % longer, 64 takes 20 to 40 %.)
 LANES = 32
-"""Pixels of which a tile has a multiple; and lines that go through a coarse grid side by side. (16
-takes 10 to 80 % longer, 64 takes 20 to 40 %.)
-"""
-
+# of the development's curves, see `uwaug.formation.development`
 GAMUT_FROM, BEYOND, DARK, TOE = f32(0.75), f32(4), f32(1e-8), f32(1e-4)
-"""Constants of the development's curves, see `uwaug.formation.development`."""
-
 _2, _255 = f32(2), f32(255)
 _FRACTION_BITS, _FRACTION_UNIT = i32((1 << ENTRY_BITS) - 1), f32(1 / (1 << ENTRY_BITS))
 
@@ -286,14 +277,9 @@ def extend(line: Any, fold: Any, margin: int, width: int, each: int) -> None:
 def coarse_lines(
     light: Floats, grid: Floats, c: CoarseTable, origin: int, start: int, stop: int
 ) -> None:
-    """Make lines of a coarse grid: shrunk along both axes, and enlarged again along rows.
-    `add_enlarged` enlarges them along columns.
-
-    Args:
-        light (3xHxW): of the scene.
-        grid (NxW): lines from `origin` on. Line n of the whole grid is row n // 3 of channel n % 3.
-        c: tables of the grid.
-        start, stop: lines, counted from `origin`.
+    """Make lines `start` to `stop`, counted from `origin`, of a coarse grid (NxW): shrunk along
+    both axes, and enlarged again along rows; `add_enlarged` enlarges them along columns. Line n of
+    the whole grid is row n // 3 of channel n % 3.
     """
     channels, _, width = light.shape
     cells, taps = c.across.shape[0], c.down.shape[1]
@@ -319,25 +305,19 @@ def coarse_lines(
 
 # ------------------------------------------------------------------------------ lamps
 
+# First rows, in the memory of a tile, of: three channels of the scene, before three of sums;
+# factors of daylight's veil; and what rays and lamps need. Row 0 holds the distances.
 LIGHT, FACTOR, AT_LAMPS = 1, 7, 8
-"""First rows, in the memory of a tile, of: three channels of the scene, before three of sums;
-factors of daylight's veil; and what rays and lamps need. Row 0 holds the distances.
-"""
-
+# First rows, from `AT_LAMPS` on, of: the distance without the field; three channels that surfaces
+# send; three that arrive; one row for each rate. Rows 0 and 1 hold tangents to the right and down.
 METRES, SURFACE, ARRIVAL, LAMP_ROWS = 2, 3, 6, 19
-"""First rows, from `AT_LAMPS` on, of: the distance without the field; three channels that surfaces
-send; three that arrive; one row for each rate. Rows 0 and 1 hold tangents to the right and down.
-"""
-
 _HALF, _3 = f32(0.5), f32(3)
 _MIN_M, _MIN_LENGTH, _MIN_LIGHT, _MAX_TANGENT = f32(1e-6), f32(1e-6), f32(1e-30), f32(1 - 1e-6)
 
 
 @inner
 def _send(t: Any, z: int, sharp: int, blurred: int, at: int, lamps: Any, n: int) -> None:
-    """Light of surfaces under lamps, before the water weakens it: J for the share that comes
-    straight, its blur for the rest.
-    """
+    """Light of surfaces under lamps: J for the share that comes straight, its blur for the rest."""
     distances, e = tile_row(t, z), tile_row(t, at + 9)
     count, direct = lamps.straight.shape[0], lamps.straight_rates.size
     sums = tile_rows(t, at + 10, 6)
@@ -521,16 +501,9 @@ def meter(
     luminance: Doubles,
     brightness: Floats,
 ) -> Doubles:
-    """Mean light at some pixels (3x3): of the scene, of what arrives without the blur, and of what
-    is positive of that.
-
-    Args:
-        light (3xN), z, metres (N): of all pixels of a picture.
-        width: of the picture, px.
-        points (M): indices of the pixels; without a sign, as numba would test each that has one.
-        water, rays: tables.
-        luminance (3): weights of the channels.
-        brightness (M): is filled with the luminance of what arrives.
+    """Mean light (3x3) at some pixels of a picture of light (3xN), z and metres (N): of the scene,
+    of what arrives without the blur, and of what is positive of that. The indices `points` (M) have
+    no sign, which numba would test. `brightness` (M) is filled with the luminance of what arrives.
     """
     count, means, sums = points.size, np.zeros((3, 3)), np.zeros((9, LANES))
     totals = rows_before(water)
@@ -551,11 +524,7 @@ def meter(
         for c in range(3):
             add_lanes(sums[c], tile_row(t, LIGHT + c), False, n)
         arrive(t, totals, water, rays, totals + 3, entries, n)
-        red, green, blue = (
-            tile_row(t, totals),
-            tile_row(t, totals + 1),
-            tile_row(t, totals + 2),
-        )
+        red, green, blue = tile_row(t, totals), tile_row(t, totals + 1), tile_row(t, totals + 2)
         bright = brightness[first : first + n]
         for x in range(n):
             bright[x] = luminance[0] * red[x] + luminance[1] * green[x] + luminance[2] * blue[x]
@@ -570,9 +539,7 @@ def meter(
 
 @inner
 def add_lanes(sums: Any, values: Any, positive: bool, n: int) -> None:
-    """Add values to `LANES` sums side by side, as one sum would wait for itself; of what is
-    `positive` alone.
-    """
+    """Add values, or what is positive, to `LANES` sums, as one sum would wait for itself."""
     for first in range(0, n, LANES):
         part = values[first : min(first + LANES, n)]
         for x in range(part.size):
@@ -581,9 +548,7 @@ def add_lanes(sums: Any, values: Any, positive: bool, n: int) -> None:
 
 @inner
 def blur_rows(d: Any, plane: Any, fold: Any, middle: int, w: Any, pairs: int) -> None:
-    """Blur across rows into `d`: w[0]·(row fold[middle]) + Σ w[i]·(both rows i away); there are 2,
-    4, … pairs.
-    """
+    """Blur across rows into `d`: Σ w[i]·(both rows i away from fold[middle]), of 2, 4, … pairs."""
     m = plane[fold[middle]]
     a, b = plane[fold[middle - 1]], plane[fold[middle + 1]]
     p, q = plane[fold[middle - 2]], plane[fold[middle + 2]]
@@ -626,9 +591,7 @@ def add_enlarged(d: Any, share: Any, grid: Any, n: int, left: int, right: int, w
 
 @inner
 def find_entries(t: Any, z: int, fraction: int, entries: Any, table: Any, n: int) -> None:
-    """Find the entry of a table below each distance in row `z`, and write the fraction of the way
-    to the next one into a row.
-    """
+    """Find the entry of a table below each distance in row `z`, and the fraction to the next."""
     distances, s, first = tile_row(t, z), tile_row(t, fraction), i32(table.first)
     last = i32(first + ((table.rows.shape[1] - 1) << ENTRY_BITS) - 1)
     for x in range(n):
@@ -902,20 +865,17 @@ def render_rows(
     start: int,
     stop: int,
 ) -> None:
-    """Form rows of a picture.
+    """Form rows `start` to `stop` of a picture.
 
     Args:
         light (3xHxW), z, metres (HxW): of the scene; effective distance, and without the field, m.
         snow (3xHxW, or 3x1x0): light of particles.
-        water, rays, widths, stack: tables.
+        water, rays, widths, stack, development: tables.
         grid (NxW), starts (m): lines of all coarse grids; the index at which those of each would
             start if they were whole.
-        normals (N), begins (3xH): of the sensor's noise; the index of the first for each row. N is
-            0 without noise.
-        development: table.
+        normals (N or 0), begins (3xH): of the sensor's noise; index of the first for each row.
         srgb, highest: True to encode; the largest value then.
         out, out_bytes (3xHxW): one takes the result; the other is 3x1x0.
-        start, stop: rows.
     """
     _, _, width = light.shape
     count, terms = stack.series.shape

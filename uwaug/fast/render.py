@@ -54,24 +54,16 @@ from uwaug.optics.view import Size
 from uwaug.optics.weights import Weights
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
-
 _LUMINANCE = np.array(LUMINANCE)
-
 _BAND = 1 << 20  # pixels whose coarse grids are held at a time: up to 24 MiB
 
 
 class _Scene(NamedTuple):
-    """One picture of a batch, as the loops take it.
+    """One picture of a batch, as the loops take it."""
 
-    Attributes:
-        light (3xHxW): linear light.
-        z, metres (HxW): effective distance, and without the field, m.
-        water, rays: tables.
-    """
-
-    light: Floats
-    z: Floats
-    metres: Floats
+    light: Floats  # (3xHxW) linear light
+    z: Floats  # (HxW) effective distance, m
+    metres: Floats  # the same without the field
     water: WaterTable
     rays: RaysTable
 
@@ -158,7 +150,6 @@ def _strips(size: Size) -> list[range]:
 
 
 def _in_pixels(medium: Medium, setting: Setting, size: Size) -> Weights:
-    """A medium as arrays, whose widths are px."""
     weights = medium.weights()
     return weights._replace(scale=weights.scale * medium.law.pixels(size, setting.view))
 
@@ -241,9 +232,7 @@ def _points(height: int, width: int) -> NDArray[np.uint32]:
 def _camera(
     development: Development, gains: Array, batch: int, size: tuple[int, int]
 ) -> tuple[Floats, Indices, list[DevelopmentTable]]:
-    """The sensor's normals; the index of the first for each row of each channel (Bx3xH); the tables
-    of developments.
-    """
+    """The sensor's normals, the first for each row of each channel (Bx3xH), and tables."""
     sensor, normals, begins = development.noise, _NO_FLOATS[0, 0], np.zeros((batch, 3, 0), np.int64)
     variance = 0.0, 0.0
     if sensor is not None:
@@ -285,9 +274,7 @@ def _light_of_bytes(srgb: bool) -> Floats:
 
 
 def _coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats, Indices]:
-    """Lines of all coarse grids that some rows of a picture need, and the index at which those of
-    each grid would start if they were whole.
-    """
+    """Lines of all coarse grids that some rows of a picture need; where whole ones would start."""
     width, first = light.shape[-1], table.stack.back_first
     low, high = 3 * first[:, rows.start], 3 * (first[:, rows.stop - 1] + 4)
     counts = high - low
@@ -302,11 +289,7 @@ def _coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats,
 
 # ------------------------------------------------------------------------------ threads
 
-_LEAST = 1 << 17
-"""Least number of pixels for each thread: with fewer, waking it takes longer than it saves. (With
-half as many, a default picture of 256 px takes as long by two threads as by one, or longer beside
-other work.)
-"""
+_LEAST = 1 << 17  # pixels for each thread: with fewer, waking it takes longer than it saves
 
 _pool: ThreadPoolExecutor | None = None
 _workers = 0
@@ -314,8 +297,8 @@ _lock = Lock()
 
 
 def _in_bands(run: Callable[[int, int], None], lines: range, width: int, multiple: int = 1) -> None:
-    """Call `run(start, stop)` for bands of lines of `width` px, with a multiple of `multiple` lines
-    each: on as many threads as torch may use; in a DataLoader's worker, on this one.
+    """Call `run(start, stop)` for bands of lines of `width` px, multiples of `multiple`: on as many
+    threads as torch may use; in a DataLoader's worker, on this one.
     """
     threads = 1 if get_worker_info() else torch.get_num_threads()
     threads = min(threads, len(lines) * width // _LEAST)

@@ -27,47 +27,30 @@ Indices = NDArray[np.int64]
 
 
 class CoarseTable(NamedTuple):
-    """One coarse grid of h cells by w, for pictures of HxW.
+    """One coarse grid of h cells by w, for pictures of HxW."""
 
-    Attributes:
-        rows: indices of the picture's rows, mirrored, from as many before the first as cells need.
-        down_first (h), down (h, taps): place in `rows` of the first for each cell, and weights.
-        columns, across_first (w), across (w, taps): the same along rows.
-        column_margin: columns before the first.
-        back_first (W), back (W, 4): the first cell of each column, and weights.
-    """
-
-    rows: Indices
-    down_first: Indices
-    down: Floats
-    columns: Indices
-    column_margin: int
+    rows: Indices  # of the picture, mirrored, from as many before the first as cells need
+    down_first: Indices  # (h) place in `rows` of the first for each cell
+    down: Floats  # (h, taps) weights
+    columns: Indices  # this and the next three: the same along rows
+    column_margin: int  # columns before the first
     across_first: Indices
     across: Floats
-    back_first: Indices
-    back: Floats
+    back_first: Indices  # (W) the first cell of each column
+    back: Floats  # (W, 4) weights
 
 
 class StackTable(NamedTuple):
-    """All blurs of a plan, sharp first, then narrow, then those on coarse grids.
+    """All blurs of a plan, sharp first, then narrow, then those on coarse grids."""
 
-    Attributes:
-        series (K, N): weights of the blurs, as Chebyshev series.
-        taps (n, reach + 1): middle weight and one half of each narrow blur.
-        pairs (n): how many weights of each half are used, an even number.
-        margin: px that the widest narrow blur reaches.
-        rows, columns: indices in the picture, mirrored, from `margin` before the first.
-        back_first (m, H), back (m, H, 4): the first cell of each row on each grid, and weights.
-    """
-
-    series: Floats
-    taps: Floats
-    pairs: Indices
-    margin: int
-    rows: Indices
+    series: Floats  # (K, N) weights of the blurs, as Chebyshev series
+    taps: Floats  # (n, reach + 1) middle weight and one half of each narrow blur
+    pairs: Indices  # (n) how many weights of each half are used, an even number
+    margin: int  # px that the widest narrow blur reaches
+    rows: Indices  # in the picture, mirrored, from `margin` before the first
     columns: Indices
-    back_first: Indices
-    back: Floats
+    back_first: Indices  # (m, H) the first cell of each row on each grid
+    back: Floats  # (m, H, 4) weights
 
 
 class PlanTable(NamedTuple):
@@ -78,85 +61,55 @@ class PlanTable(NamedTuple):
 
 
 class DistanceTable(NamedTuple):
-    """N functions of the distance, tabulated at 128 distances in each octave, linear between them.
+    """N functions of the distance, tabulated 128 times in each octave, linear between."""
 
-    Attributes:
-        first: bits of the first distance, m, in single precision.
-        rows (NxE, or Nx0): values at E distances.
-    """
-
-    first: np.int32
-    rows: Floats
+    first: np.int32  # bits of the first distance, m, in single precision
+    rows: Floats  # (NxE, or Nx0) values at E distances
 
 
 class DevelopmentTable(NamedTuple):
-    """A development, see `uwaug.formation.development`.
+    """A development, see `uwaug.formation.development`."""
 
-    Attributes:
-        dark, photons: variance of the sensor's noise at light 0, and its growth with light.
-        gain (9): matrix that acts after the noise.
-        gamut: share of the compression.
-        tone, tone_offset: exponent and offset of the curve.
-    """
-
-    dark: np.float32
-    photons: np.float32
-    gain: Floats
-    gamut: np.float32
-    tone: np.float32
+    dark: np.float32  # variance of the sensor's noise at light 0
+    photons: np.float32  # its growth with light
+    gain: Floats  # (9) matrix that acts after the noise
+    gamut: np.float32  # share of the compression
+    tone: np.float32  # exponent of the curve
     tone_offset: np.float32
 
 
 class MediumTable(NamedTuple):
-    """A medium as the loops take it.
-
-    Attributes:
-        rates (K + L): rates times −log2(e), those of the direct term first.
-        direct (9, K), signal (9, L), veil (3, L): weights; those of the veil for e^−x − 1. The nine
-            are three channels of the scene for each of the picture.
+    """A medium as the loops take it; nine weights are three channels of the scene for each of the
+    picture.
     """
 
-    rates: Floats
-    direct: Floats
-    signal: Floats
-    veil: Floats
+    rates: Floats  # (K + L) times −log2(e), those of the direct term first
+    direct: Floats  # (9, K) weights
+    signal: Floats  # (9, L)
+    veil: Floats  # (3, L) for e^−x − 1
 
 
 class LampsTable(NamedTuple):
-    """N lamps as the loops take them; none for daylight. See `uwaug.light`.
+    """N lamps as the loops take them; none for daylight. See `uwaug.light`."""
 
-    Attributes:
-        places (N, 9): position, axis of length 1, cosines of the angles at which the light begins
-            to fade and has faded, and 1 if it shines to all sides.
-        radius: square of a lamp's radius, m².
-        asymmetry: g of the phase function.
-        nodes (2, Q): nodes and weights of the quadrature along a ray.
-        rates (R): rates times −log2(e).
-        arriving (N, 9, R), fog (N, 3, R): weights of the light from surfaces and from water,
-            for each lamp.
-        straight_rates (K): rates of T_β, times −log2(e).
-        straight (S, K), signal (S, R): weights of T_β and T_G, whose ratio is the share of light
-            that comes straight: S is 3, or 1 if all channels share it.
-        tangent: tangent of the angle of a pixel at the middle of the view.
-        middle (2): column and row there.
-    """
-
+    # (N, 9) position, axis of length 1, cosines of the angles at which the light begins to fade and
+    # has faded, and 1 if it shines to all sides
     places: Floats
-    radius: np.float32
-    asymmetry: np.float32
-    nodes: Floats
-    rates: Floats
-    arriving: Floats
-    fog: Floats
-    straight_rates: Floats
+    radius: np.float32  # square of a lamp's radius, m²
+    asymmetry: np.float32  # g of the phase function
+    nodes: Floats  # (2, Q) nodes and weights of the quadrature along a ray
+    rates: Floats  # (R) times −log2(e)
+    arriving: Floats  # (N, 9, R) weights of the light from surfaces
+    fog: Floats  # (N, 3, R) and from water
+    straight_rates: Floats  # (K) of T_β, times −log2(e)
+    # Weights of T_β (S, K) and T_G (S, R), whose ratio is the share of light that comes straight: S
+    # is 3, or 1 if all channels share it.
     straight: Floats
     signal: Floats
 
 
 class WaterTable(NamedTuple):
-    """All that weakens or sends light before one picture: the sums of its medium, further terms by
-    distance, and lamps.
-    """
+    """All that weakens or sends light before one picture."""
 
     medium: MediumTable
     further: DistanceTable
@@ -164,30 +117,22 @@ class WaterTable(NamedTuple):
 
 
 class RaysTable(NamedTuple):
-    """Rays of a picture, and the direction of its daylight, see `uwaug.light.direction`.
+    """Rays of a picture, and the direction of its daylight, see `uwaug.light.direction`."""
 
-    Attributes:
-        middle (2): column and row of the camera's axis.
-        tangent: tangent of the angle of a pixel there.
-        directed: True if the veil depends on the elevation of a ray.
-        sine, cosine: of the elevation of the axis.
-        rise, most: constants of the factor.
-    """
-
-    middle: Floats
-    tangent: np.float32
-    directed: bool
-    sine: np.float32
+    middle: Floats  # (2) column and row of the camera's axis
+    tangent: np.float32  # of the angle of a pixel there
+    directed: bool  # True if the veil depends on the elevation of a ray
+    sine: np.float32  # of the elevation of the axis
     cosine: np.float32
-    rise: np.float32
+    rise: np.float32  # this and the next: constants of the factor
     most: np.float32
 
 
 # ------------------------------------------------------------------------------ plans
 
 _PLANS: Cache[PlanTable] = Cache(8 * 2**20)
+# coarse grids, with `back_first` and `back` of rows: 8 MiB or so for each size in random water
 _GRIDS: Cache[tuple[CoarseTable, Indices, Floats]] = Cache(32 * 2**20)
-"""Coarse grids, with `back_first` and `back` of rows: 8 MiB or so for each size in random water."""
 
 
 def plan_table(plan: BlurPlan, size: Size) -> PlanTable:
@@ -278,9 +223,7 @@ def _coarse_table(node: Node, height: int, width: int) -> CoarseTable:
 
 
 def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
-    """First column and weights of every row of a matrix; 4, 8, … weights, some of them 0. Rows that
-    reach beyond both ends of the axis are folded.
-    """
+    """First column and weights of every row of a matrix, folded at the ends; 4, 8, … weights."""
     matrix = whole(kind, size, node)
     kernels = matrix.kernels
     if kernels.taps > size and kernels.reflects:
@@ -293,7 +236,6 @@ def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
 
 
 def _beyond(first: Indices, weights: Floats, size: int) -> int:
-    """Columns by which a matrix reaches beyond an axis."""
     end = int(first.max()) + int(weights.shape[1])
     return max(0, -int(first.min()), end - size)
 
@@ -305,12 +247,10 @@ def _mirrored(margin: int, size: int) -> Indices:
 
 # ------------------------------------------------------------------------------ media
 
+# Last bits of a distance in single precision, which lie between two entries of a table; the others
+# are the entry. With 128 entries in an octave pictures are right within 1e-6. (Other tables:
+# benchmarks/CHOICES.md, loops.)
 ENTRY_BITS = 16
-"""Last bits of a distance in single precision, which lie between two entries of a table; the others
-are the entry. With 128 entries in an octave pictures are right within 1e-6. (Tables evenly spaced
-in the logarithm, and tables for all that a pixel needs: benchmarks/CHOICES.md, loops.)
-"""
-
 _MIN_DISTANCE = 1e-6  # m, and share of the farthest distance: stands for 0, which has no logarithm
 
 
@@ -322,9 +262,7 @@ def medium_table(row: Weights) -> MediumTable:
 
 
 def places_table(row: Weights, plan: BlurPlan, ends: tuple[float, float]) -> DistanceTable:
-    """Places (−1…1) of the blur's widths, px, in a plan, at distances between two ends, m; without
-    entries if the plan has one width.
-    """
+    """Places (−1…1) of the blur's widths, px, in a plan; without entries if it has one width."""
     if len(plan.sigmas) == 1:
         return DistanceTable(np.int32(0), np.zeros((1, 0), np.float32))
     slope, offset = place_line(plan)
@@ -338,9 +276,7 @@ def places_table(row: Weights, plan: BlurPlan, ends: tuple[float, float]) -> Dis
 
 
 def terms_table(medium: Medium, z: Floats) -> DistanceTable:
-    """Light (3) of a medium's further terms at the distances of pictures; without entries if there
-    are none.
-    """
+    """Light (3) of a medium's further terms by distance; without entries if there are none."""
     if not medium.further_terms(medium.b_mean.reshape(1, 1, 1, 1)):
         return DistanceTable(np.int32(0), np.zeros((3, 0), np.float32))
 
@@ -354,9 +290,7 @@ def terms_table(medium: Medium, z: Floats) -> DistanceTable:
 
 
 def _tabulated(function: Callable[[Array], Array], ends: tuple[float, float]) -> DistanceTable:
-    """The table of a function of distances (E) that returns one or several values of each, (E) or
-    (N, E), for distances between two ends, m.
-    """
+    """The table of a function of distances (E), between two ends, m, to values (E) or (N, E)."""
     low = max(ends[0], _MIN_DISTANCE * ends[1], _MIN_DISTANCE)
     high = max(ends[1], _MIN_DISTANCE)
     first, last = np.array([low, high], np.float32).view(np.int32) >> ENTRY_BITS
@@ -412,4 +346,3 @@ def rays_tables(view: View, light: Light | None, size: Size) -> list[RaysTable]:
 _NONE = [np.zeros((0,) * axes, np.float32) for axes in range(4)]
 _0 = np.float32(0)
 _NO_LAMPS = LampsTable._make([_NONE[2], _0, _0, *[_NONE[n] for n in (2, 1, 3, 3, 1, 2, 2)]])
-"""The table for daylight."""

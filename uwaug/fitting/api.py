@@ -64,17 +64,12 @@ def fit(
         fixed: known numbers by their names in `Fit.parameters`, such as {"G_red": .3}: beta, G and
             veil of a colour, width, exponent.
         gain: "free": each colour gets a factor for exposure, white balance and daylight lost above
-            the scene, if left-out pixels are predicted better with it. "fixed": these are the same
-            as in the clean picture.
-        color_space: "srgb": values are decoded to linear light. "linear": values are taken as they
-            are, light or a haze composed in encoded values.
+            the scene, if left-out pixels are predicted better with it. "fixed": there is none.
+        color_space: "srgb": values are decoded to linear light. "linear": they are taken as is.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
         seed: seed of the choice of pixels and of random starts.
         progress: True: print on stderr what a fit that takes longer than a second is doing; False:
             print nothing; or a function that is called with each such line.
-
-    Returns:
-        The fit: the medium, its numbers, their errors, and what the pictures cannot tell.
 
     Raises:
         TypeError, ValueError: if an input does not suit; if fewer than 50 pixels can be used, the
@@ -135,7 +130,7 @@ def fit(
 
 
 def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progress:
-    """Refuse options that no fit can use. Returns the function that tells the progress."""
+    """Check options; returns the function that tells the progress."""
     checks.within("pixels", pixels, *_PIXEL_COUNTS)
     checks.within("seed", seed, 0)
     if callable(progress):
@@ -181,7 +176,6 @@ def _models(
 def _model_notes(
     winner: FittedModel[CoefficientModel], candidates: Sequence[FittedModel[CoefficientModel]]
 ) -> list[str]:
-    """Sentences on the model that was chosen, and on how well it explains the pictures."""
     best, reason, warning = best_of(candidates), "", ""
     if best is not winner:
         reason = f" The fewest numbers within one standard error of the best, {best.model.name!r}."

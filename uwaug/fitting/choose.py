@@ -1,6 +1,4 @@
-"""Choice of the model that a picture supports: the fewest numbers that predict left-out pixels as
-well as any.
-"""
+"""Choice of the model that a picture supports."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,16 +23,11 @@ _FOLD_STEPS = 6  # largest number of steps of a fit without a fold
 
 @dataclass(frozen=True, eq=False)
 class FittedModel(Generic[M]):
-    """A candidate after its fit.
-
-    Attributes:
-        objective, solution: the model with its pixels, and where its fit ended.
-        losses: summed loss of each block of the picture.
-    """
+    """A candidate after its fit."""
 
     objective: Objective[M]
     solution: Solution
-    losses: Array
+    losses: Array  # summed loss of each block of the picture
 
     @property
     def model(self) -> M:
@@ -119,10 +112,7 @@ def best_of(candidates: Sequence[FittedModel[M]]) -> FittedModel[M]:
 
 def one_standard_error_rule(candidates: Sequence[FittedModel[M]]) -> FittedModel[M]:
     """The candidate with the fewest numbers, of those whose held-out loss is within one standard
-    error of the least. The error is that of the difference, as blocks that are hard for all
-    candidates say nothing.
-
-    Source: Breiman et al. 1984.
+    error, of the difference, of the least (Breiman et al. 1984).
     """
     best = best_of(candidates)
     equals = []
@@ -141,12 +131,9 @@ def block_losses(objective: Objective[M], theta: Array) -> Array:
 
 
 def cross_validated(objective: Objective[M], solution: Solution, seed: int) -> FittedModel[M]:
-    """A candidate with its held-out loss: that of each block under numbers fitted without it.
-
-    Every fit begins at the solution and takes a few steps. A single Gauss–Newton step is not enough
-    where numbers are hardly identified: it leads astray, or, shortened, leaves numbers that have
-    seen the blocks. A model with a blur that is not there then won in 3 of 3 pictures.
-    """
+    """A candidate with its held-out loss: that of each block under numbers fitted without it."""
+    # A single Gauss–Newton step from the solution is not enough where numbers are hardly
+    # identified: a model with a blur that is not there then won in 3 of 3 pictures.
     pixels = objective.pixels
     count = int(pixels.blocks.max()) + 1
     fold = np.random.default_rng(seed).permutation(count) % _FOLDS

@@ -39,37 +39,25 @@ _NEAR_QUANTILE, _FAR_QUANTILE = 0.05, 0.95  # of the finite distances: the ends 
 @plain
 @dataclass(frozen=True)
 class Geometry:
-    """Quantiles of the distances at 5, 50 and 95 %, m (width laws refer to the median); height and
-    width, px; largest width of a blur, px.
-    """
+    """Quantiles of the distances, m, and sizes, px."""
 
-    nearest: float
-    reference: float
-    farthest: float
-    size: tuple[int, int]
-    widest: float
+    nearest: float  # at 5 %
+    reference: float  # the median, to which width laws refer
+    farthest: float  # at 95 %
+    size: tuple[int, int]  # height and width
+    widest: float  # largest width of a blur
 
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """Checked pictures of one water.
+    """Checked pictures of one water, in linear light, float64."""
 
-    Attributes:
-        clean (1x3xHxW or Bx3xHxW tensor): linear light, float64; black if there is none.
-        observed (Bx3xHxW tensor): linear light, float64.
-        z (Bx1xHxW tensor): m, finite, > 0.
-        usable (Bx1xHxW tensor): True where the distance is known and no value was clipped.
-        color_space: colour space of the input.
-        clips: True if light beyond black and white was lost, as in sRGB and wherever no value lies
-            beyond.
-    """
-
-    clean: Tensor
-    observed: Tensor
-    z: Tensor
-    usable: Tensor
-    color_space: ColorSpace
-    clips: bool
+    clean: Tensor  # 1x3xHxW or Bx3xHxW; black if there is none
+    observed: Tensor  # Bx3xHxW
+    z: Tensor  # Bx1xHxW: m, finite, > 0
+    usable: Tensor  # Bx1xHxW: True where the distance is known and no value was clipped
+    color_space: ColorSpace  # of the input
+    clips: bool  # True if light beyond black and white was lost, as in sRGB
 
     @staticmethod
     def of(
@@ -158,9 +146,6 @@ class Pictures:
         )
 
     def _require_usable(self) -> None:
-        """Refuse too few usable pixels, and distances that are all alike: attenuation shows only
-        between distances.
-        """
         usable = int(self.finite.sum())
         if usable < _MIN_PIXELS:
             losses = {
@@ -169,10 +154,8 @@ class Pictures:
                 "are black in observed": (self.observed <= 0).all(1),
             }
             counts = ", ".join(f"{int(mask.sum())} {reason}" for reason, mask in losses.items())
-            raise ValueError(
-                f"only {usable} pixels can be used, expected {_MIN_PIXELS}: of {self.z.numel()} "
-                f"{counts}; distances must be known, and exposure leave pixels unclipped"
-            )
+            got = f"only {usable} of {self.z.numel()} pixels can be used ({counts})"
+            raise ValueError(f"{got}, expected {_MIN_PIXELS}: their distance known, and unclipped")
         z = self.z[self.usable].numpy()
         low, high = np.quantile(z, (0.02, 0.98))
         if high - low < _MIN_SPAN * float(np.median(z[z < FARTHEST])):
@@ -188,9 +171,8 @@ class Stack:
         self._sigma, self._soft = torch.empty(0), torch.empty(0)
 
     def softened(self, sigma: Tensor) -> Tensor:
-        """The clean pixels (1x3x1xN), each blurred by a width `sigma` (1x1x1xN, px). The last is
-        remembered, as most steps of a fit leave the widths alone.
-        """
+        """The clean pixels (1x3x1xN), each blurred by a width `sigma` (1x1x1xN, px)."""
+        # most steps of a fit leave the widths alone
         if not torch.equal(sigma, self._sigma):
             self._sigma, self._soft = sigma, mixed(self.blurs, node_weights(sigma, self.plan))
         return self._soft
@@ -198,24 +180,15 @@ class Stack:
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """N pixels of all pictures.
+    """N pixels of all pictures."""
 
-    Attributes:
-        clean, observed (1x3x1xN tensor): linear light, float64.
-        z (1x1x1xN tensor): m.
-        weights (1x3x1xN tensor): one over the standard deviation of the noise; 0 leaves out.
-        blocks (N array): number of the block of the picture that a pixel is from, from 0.
-        stacks: blurs for each shape that was asked for.
-        size: height and width of the pictures, px.
-    """
-
-    clean: Tensor
+    clean: Tensor  # 1x3x1xN: linear light, float64
     observed: Tensor
-    z: Tensor
-    weights: Tensor
-    blocks: Places
-    stacks: dict[Shape, Stack]
-    size: tuple[int, int]
+    z: Tensor  # 1x1x1xN: m
+    weights: Tensor  # 1x3x1xN: one over the standard deviation of the noise; 0 leaves out
+    blocks: Places  # (N) number of the block of the picture that a pixel is from, from 0
+    stacks: dict[Shape, Stack]  # blurs for each shape that was asked for
+    size: tuple[int, int]  # height and width of the pictures, px
 
     @property
     def blocks_of_values(self) -> Places:
@@ -238,9 +211,7 @@ class Pixels:
 
 
 def blocks_of(places: Sequence[Places], size: tuple[int, int]) -> Places:
-    """Number of the block of each place of each picture of a size (height, width), from 0. Places
-    count pixels row by row. No two pictures share a block.
-    """
+    """Number of the block, from 0, of each place, row by row, of each picture of a size."""
     side = max(1, min(size) // BLOCKS)
     columns, area = -(-size[1] // side), size[0] * size[1]
     numbers = [
@@ -260,9 +231,7 @@ def _light(picture: Tensor, color_space: ColorSpace, name: str) -> Tensor:
 def _stratified(
     z: Array, usable: NDArray[np.bool_], count: int, rng: np.random.Generator
 ) -> Places:
-    """Places of `count` usable pixels of a picture, as evenly from equal steps of distance as the
-    pixels allow.
-    """
+    """Places of `count` usable pixels of a picture, as evenly by distance as there are pixels."""
     places = rng.permutation(np.flatnonzero(usable))
     if len(places) <= count:
         return places

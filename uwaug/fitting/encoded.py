@@ -15,9 +15,7 @@ _MIN_RATIO = 1.05
 
 
 def encoded_haze_notes(winner: FittedModel[CoefficientModel], gain: bool, seed: int) -> list[str]:
-    """A note if a haze that is fitted to the sRGB values, as if they were light, explains them
-    better than the winner explains the light; else none.
-    """
+    """A note if a haze that is fitted to the sRGB values explains them better than the winner."""
     haze = replace(winner.model, spec=MODELS["haze"], gain=gain)
     if not set(haze.fixed) <= set(haze.fixable) or not haze.bounds:
         return []  # a haze has no place for the fixed numbers

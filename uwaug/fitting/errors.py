@@ -20,8 +20,7 @@ NORMAL = 1.96  # standard errors to either end of a 95 % interval
 #
 # The ends ask for an error below a quarter of a symmetric number. Of 672 numbers of 76 random
 # waters that pass, one was more than half off, by less than shows. Of 37 more that pass if the
-# number itself is the measure, 14 were; among them were veils off by a factor of 10⁷. Of 55 that
-# pass neither way, 26 were.
+# number itself is the measure, 14 were.
 _MAX_ERROR_SHARE = 0.5
 _FLAT_EIGENVALUE = 1e-9  # share of the largest eigenvalue, below which a direction does not show
 _UNMOVED_SHARE = 1e-4  # of a slope, that may lie along directions that do not show
@@ -29,19 +28,12 @@ _TENTHS = 10  # parts of the distances, each with a mean residual
 
 
 class Covariance(NamedTuple):
-    """Covariance of the fitted numbers.
-
-    Attributes:
-        matrix: the covariance.
-        length: lengths of the Jacobian's columns; 0 if a number does nothing.
-        hidden (numbers x directions): changes of numbers times length that do not show at all.
-        design_effect: ratio of the errors to those of independent residuals.
-    """
+    """Covariance of the fitted numbers."""
 
     matrix: Array
-    length: Array
-    hidden: Array
-    design_effect: float
+    length: Array  # lengths of the Jacobian's columns; 0 if a number does nothing
+    hidden: Array  # (numbers x directions): changes of numbers times length that do not show at all
+    design_effect: float  # ratio of the errors to those of independent residuals
 
     def shows(self, slope: Array) -> bool:
         """True if a quantity with these slopes by the numbers shows in the pictures."""
@@ -55,18 +47,15 @@ class Covariance(NamedTuple):
 def sandwich(
     jacobian: Array, score: Array, curvature: Array, blocks: Places, offsets: Array | None = None
 ) -> Covariance:
-    """Sandwich estimate H⁻¹·S·H⁻¹ of the covariance: H from the slopes, S from the scores of blocks
-    of the picture. Residuals of a block may depend on each other, as a wrong model's do. In no
-    direction is it less than for independent pixels.
+    """Sandwich estimate H⁻¹·S·H⁻¹ of the covariance (White 1982; over blocks, Liang and Zeger
+    1986): H from the slopes, S from the scores of blocks of the picture, whose residuals may depend
+    on each other. In no direction is it less than for independent pixels.
 
     Args:
         jacobian (N x numbers): derivatives of the residuals.
         score, curvature (N): first two derivatives of half of each residual's loss.
         blocks (N): number of the block of each residual.
-        offsets (NxK): changes of the residuals by K independent errors that no block tells, of one
-            standard deviation each.
-
-    Source: White 1982; over blocks, Liang and Zeger 1986.
+        offsets (NxK): changes of the residuals by K independent errors that no block tells.
     """
     from scipy.linalg import eigh
 
@@ -137,17 +126,9 @@ def parameters(
 def parameter(
     quantity: Quantity, value: float, error: float, *, shows: bool = True, at_bound: bool = False
 ) -> Parameter:
-    """A number with its error, or "not identified" where the pictures do not tell it.
-
-    It is not identified in two cases: it does not show in the pictures at all; or its standard
-    error is larger than half of the number at either end of its interval, and larger than what
-    shows in a picture.
-
-    Args:
-        quantity: name, unit and resolution.
-        value, error: the number, ≥ 0, and its standard error.
-        shows: True if a change of it shows in the pictures, as nothing else makes up for it.
-        at_bound: True if it is at the end of its range.
+    """A number ≥ 0 with its standard error, or "not identified": where it does not show in the
+    pictures, as others make up for it; or its error is larger than half of the number at either end
+    of its interval, and larger than what shows in a picture.
     """
     low, high = max(value - NORMAL * error, 0.0), value + NORMAL * error
     half = (high - low) / (2 * NORMAL)

@@ -85,9 +85,7 @@ class TypeModel(Model):
         return self.water.with_contents(self.numbers(theta)["contents"])
 
     def medium(self, theta: Array, tolerance: float = 0.0) -> Medium:
-        """The medium of these numbers; by default with all bands, as fewer rates would jump when
-        numbers change.
-        """
+        """The medium of θ; by default with all bands, as fewer rates jump when numbers change."""
         numbers = self.numbers(theta)
         medium = Medium.from_water(
             self.water_of(theta),
@@ -150,21 +148,18 @@ def fit_water(
 
     Args:
         clean, observed, distance, color_space, seed, progress: as of `uwaug.fit`.
-        camera: as of `Medium.from_water`. A wrong one gives a wrong water.
+        camera, g: as of `Medium.from_water`; a wrong one gives a wrong water.
         surfaces: "spectral" or "grey", as of `Medium.from_water`; "auto": what explains the
             picture better.
         vertical_depth: depth of the scene below the surface, m; None: it is fitted, 0…30 m.
-        g: as of `Medium.from_water`; one picture does not tell it from the water.
         point_spread: width law; None: `PointSpread.calibrated`. Pictures by the paper's model need
             `PointSpread.paper()`, g = .2 and grey surfaces.
-        view: of the camera, a `uwaug.View` or its angle in degrees, which the width of the blur
-            follows. Of another angle than the picture's, no type may explain it.
+        view: of the camera, a `uwaug.View` or its angle in degrees.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
 
     Returns:
-        The fit: its `model` is the type, or "no Jerlov type"; its `water`, of the best type, goes
-        into `uwaug.RandomUnderwater`. Numbers are visibility [m], contents (the factor of
-        `Water.with_contents`), vertical depth [m] and gain (exposure).
+        The fit: its `model` is the type, or "no Jerlov type". Numbers are visibility [m], contents
+        (the factor of `Water.with_contents`), vertical depth [m] and gain (exposure).
 
     Raises:
         TypeError, ValueError: as `uwaug.fit`; if too few pixels lie above the noise.

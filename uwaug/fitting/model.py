@@ -160,18 +160,12 @@ class CoefficientModel(Model):
 
     θ holds β, share (G/β), source and the logarithm of light of each colour, width and exponent.
     Pictures tell share and source apart better than G and V(0).
-
-    Attributes:
-        spec: terms of the model.
-        geometry: distances and sizes of the pictures.
-        gain: True if the light is fitted, False if it is that of the clean picture.
-        fixed: known numbers, by the names of `fixable`.
     """
 
     spec: ModelSpec
     geometry: Geometry
-    gain: bool
-    fixed: Mapping[str, float]
+    gain: bool  # True if the light is fitted, False if it is that of the clean picture
+    fixed: Mapping[str, float]  # known numbers, by the names of `fixable`
 
     @property
     def name(self) -> str:

@@ -24,11 +24,7 @@ if TYPE_CHECKING:
 
 State = Literal["free", "at bound", "not identified", "fixed"]
 
-VISIBLE_LIGHT = 0.002
-"""Smallest difference of linear light that shows in a picture, half of a step of 8 bits. The
-default tolerance of media and blurs puts pictures .0007 off (RMS).
-"""
-
+VISIBLE_LIGHT = 0.002  # of linear light, the least that shows: half of a step of 8 bits
 # Range that a fit's module is planned for, in shares of the median and of the farthest distance.
 _NEAR_SHARE, _FAR_SHARE = 0.2, 1.5
 
@@ -36,64 +32,40 @@ _NEAR_SHARE, _FAR_SHARE = 0.2, 1.5
 @codec.plain
 @dataclass(frozen=True)
 class Parameter:
-    """A number that a fit reports.
-
-    Attributes:
-        value: None if it is not identified.
-        error: standard error; None if it is not identified, fixed, or at a bound.
-        low, high: ends of the 95 % interval; None if it is not identified or fixed.
-        unit: "1/m", "m", "px" or "1".
-        state: "free"; "at bound": at the end of its range; "not identified": the pictures do not
-            tell; "fixed": it was given.
-    """
+    """A number that a fit reports; None for what there is not."""
 
     value: float | None
-    error: float | None
-    low: float | None
+    error: float | None  # standard error
+    low: float | None  # this and the next: ends of the 95 % interval
     high: float | None
-    unit: str
-    state: State
+    unit: str  # "1/m", "m", "px" or "1"
+    state: State  # free, at the end of its range, not told by the pictures, or given
 
 
 @codec.plain
 @dataclass(frozen=True)
 class Candidate:
-    """A model, or a Jerlov type, that was tried.
-
-    Attributes:
-        name: name of the model or type.
-        numbers: count of the fitted numbers.
-        error: root of the mean loss of left-out pixels (for a type: of the fitted pixels), in
-            standard deviations of the noise.
-        behind: excess of the summed loss over that of the best.
-        behind_error: standard error of `behind`.
-        chosen: True for the candidate of the fit.
-        values: visibility and vertical depth of a type, m.
-    """
+    """A model, or a Jerlov type, that was tried."""
 
     name: str
-    numbers: int
+    numbers: int  # count of the fitted numbers
+    # root of the mean loss of left-out pixels (for a type: of the fitted pixels), in standard
+    # deviations of the noise
     error: float
-    behind: float
-    behind_error: float
-    chosen: bool = False
-    values: Mapping[str, float] = field(default_factory=dict)
+    behind: float  # excess of the summed loss over that of the best
+    behind_error: float  # standard error of it
+    chosen: bool = False  # True for the candidate of the fit
+    values: Mapping[str, float] = field(default_factory=dict)  # visibility and depth of a type, m
 
 
 @codec.plain
 @dataclass(frozen=True)
 class Remainder:
-    """Residual of the pixels at one distance.
+    """Residual of the pixels at one distance."""
 
-    Attributes:
-        distance: median distance of the pixels, m.
-        mean: mean of observed − fitted, in linear light, for red, green and blue.
-        error: standard error of each mean, if the noise were independent.
-    """
-
-    distance: float
-    mean: tuple[float, ...]
-    error: tuple[float, ...]
+    distance: float  # median, m
+    mean: tuple[float, ...]  # of observed − fitted, in linear light, for red, green and blue
+    error: tuple[float, ...]  # standard error of each mean, if the noise were independent
 
 
 @codec.plain
@@ -103,7 +75,7 @@ class Fit:
 
     Attributes:
         model: a model of `uwaug.fit`, a Jerlov type or "no Jerlov type", or "darkest pixels".
-        parameters: each number by name: value, standard error, 95 % interval, unit, state.
+        parameters: each number by name.
         covariance: covariance of all `parameters`, in their order; of no use where one is not
             identified.
         medium: the water, exposure included: a batch of one, float64. `uwaug.Underwater` of it
@@ -147,11 +119,7 @@ class Fit:
         return Underwater(self.medium, (low, high), color_space=self.color_space, sides=sides)
 
     def rendered(self) -> Tensor:
-        """The observed pictures (Bx3xHxW, linear light) as the water makes them.
-
-        Raises:
-            ValueError: if the fit was read from a file, or there was no clean picture.
-        """
+        """The observed pictures (Bx3xHxW, linear light) as the water makes them of the clean."""
         if self.pictures is None or not self.pictures.clean.any():
             raise ValueError("the fit has no clean pictures: fit them again to see these")
         clean, z = self.pictures.clean.float(), self.pictures.z.float()

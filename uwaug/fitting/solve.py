@@ -80,9 +80,7 @@ def influence(residual: Array) -> tuple[Array, Array]:
 
 
 def solve(objective: Objective[M], start: Array, max_steps: int = 60) -> Solution:
-    """The least cost inside the bounds, from a start. Bounds are plain, without logarithms, so that
-    a number may be at its bound.
-    """
+    """The least cost inside the bounds, from a start. No logarithms: numbers may be at a bound."""
     from scipy.optimize import least_squares
 
     low, high = objective.bounds
@@ -110,10 +108,8 @@ def solve(objective: Objective[M], start: Array, max_steps: int = 60) -> Solutio
 
 
 def logit_prefit(objective: Objective[M], start: Array) -> Array:
-    """Numbers near the least cost, from a start that may be far.
-
-    Steps are in the logit of each number between its bounds, hence shares of the number. A rate
-    that overshoots to where its light is gone would not come back (benchmarks/CHOICES.md).
+    """Numbers near the least cost, from a start that may be far, by steps in the logit of each
+    between its bounds: a rate that overshoots to where its light is gone would not come back.
     """
     from scipy.optimize import least_squares
 
@@ -149,12 +145,8 @@ def multistart(
     hints: Sequence[Mapping[str, float]] = (),
     seed: int = 0,
 ) -> Solution:
-    """The least cost from several starts: a guess, the numbers that other fits have found (`hints`,
-    θ by name), and a random place around the guess.
-
-    A few pixels decide which start is best. From its end each colour is guessed once more, with the
-    width law there: a colour taken for opaque, a veil and no scene, would not come back, and 1
-    start in 9 ended so. Then all pixels are fitted.
+    """The least cost from several starts, of which a few pixels decide: a guess, the numbers that
+    other fits have found (`hints`, θ by name), and a random place around the guess.
     """
     model, rng = objective.model, np.random.default_rng(seed)
     subset = replace(objective, pixels=objective.pixels.subsample(_START_PIXELS, rng))
@@ -164,6 +156,7 @@ def multistart(
     starts.append(np.clip(starts[0] * factor, *objective.bounds))
     ends = [solve(subset, logit_prefit(subset, theta), max_steps=20) for theta in starts]
     best = min(ends, key=lambda end: end.cost)
+    # a colour taken for opaque, a veil and no scene, would not come back; 1 start in 9 ended so
     numbers = guess(subset, dict(zip(model.bounds, best.theta.tolist(), strict=True)))
     second = solve(subset, model.start(numbers), max_steps=20)
     best = min(best, second, key=lambda end: end.cost)
@@ -174,7 +167,7 @@ def guess(
     objective: Objective[CoefficientModel], numbers: Mapping[str, float] | None = None
 ) -> dict[str, float]:
     """The best of a grid of β and G/β for each colour, whose light and veil follow by linear least
-    squares. The width law is that of `numbers` (θ by name), or where a fit may begin.
+    squares; the width law is that of `numbers` (θ by name).
     """
     model = objective.model
     values = {name: bound.begin for name, bound in model.bounds.items()} | dict(numbers or {})
@@ -227,11 +220,6 @@ def roughly_weighed(pixels: Pixels) -> Pixels:
 def reweighed(objective: Objective[M], theta: Array, clips: bool) -> tuple[Pixels, Array]:
     """Weigh pixels for all candidates by the light of the best model, with a noise estimated from
     its residuals; also its θ. Refuses pixels of which too few values lie above the noise.
-
-    Args:
-        objective: the best model, with roughly weighed pixels.
-        theta: start of its fit.
-        clips: as of `Pictures`.
     """
     pixels = objective.pixels
     for _ in range(_NOISE_ROUNDS):
@@ -256,9 +244,7 @@ def reweighed(objective: Objective[M], theta: Array, clips: bool) -> tuple[Pixel
 
 
 def noise(error: Tensor, light: Tensor, is_used: Tensor) -> Tensor:
-    """Standard deviation (read² + shot·light)^½ of the noise of each value, from the residuals
-    (`error`) of the model's `light` that count (`is_used`), all of one shape.
-    """
+    """Standard deviation (read² + shot·light)^½ of the noise of each value, from residuals."""
     from scipy.optimize import nnls
 
     errors, levels = error[is_used].numpy(), light[is_used].numpy()

@@ -51,11 +51,8 @@ def fit_veil(
     seed: int = 0,
 ) -> Fit:
     """Estimate a veil V(0)·(1 − e^(−Gz)) for each channel without a clean picture, from the darkest
-    pixels at each distance: if their surfaces are black, all their light is the veil's.
-
-    In each of ten equal steps of distance the pixels of least luminance are taken, by the mean of
-    3×3 neighbours; in open water, any. Sea-thru's second term, for the light of dark surfaces, is
-    left out: pictures hardly tell it from the veil, and on five scenes V was twice as far off.
+    pixels at each distance: if their surfaces are black, all their light is the veil's. Sea-thru's
+    second term, for the light of dark surfaces, is left out: pictures hardly tell it from the veil.
 
     Args:
         observed, distance, color_space, seed: as of `uwaug.fit`; pictures are of one water.
@@ -64,16 +61,15 @@ def fit_veil(
 
     Returns:
         The fit, an estimate: G, veil V(0) and source G·V(0) of each channel. Its medium has β = G,
-        as pictures without a clean one do not tell β. Where V(0) and G are not identified,
-        `medium.backscatter` still is, as far as the picture reaches.
+        as these pictures do not tell β. Where V(0) and G are not identified, `medium.backscatter`
+        still is, as far as the picture reaches.
 
     Raises:
         TypeError, ValueError: as `uwaug.fit`; if fewer than three steps hold 50 pixels, or the
             picture is of one colour.
 
-    Measured on five scenes, degraded in four waters with 1 % noise: the veil at a distance is .002
-    to .004 off (RMS, linear light) where something is black at each of them, else up to .03 too
-    high. No real picture with a known veil was at hand.
+    On five scenes in four waters with 1 % noise the veil at a distance is .002 to .004 off (RMS,
+    linear light) where something is black at each of them, else up to .03 too high.
 
     Source: Akkaynak and Treibitz, *Sea-thru*, CVPR 2019, section 4.3.
 
@@ -164,9 +160,7 @@ def fit_veil(
 
 
 class _OneSided(Objective[CoefficientModel]):
-    """Residuals of pixels that are lighter than the veil count less: surfaces may be brighter than
-    black, and none is darker.
-    """
+    """Residuals of pixels that are lighter than the veil count less, as no surface is darker."""
 
     def residual(self, theta: Array) -> Array:
         residual = super().residual(theta)
@@ -178,9 +172,7 @@ class _OneSided(Objective[CoefficientModel]):
 
 
 def _darkest(pictures: Pictures, rng: np.random.Generator) -> tuple[Pixels, float]:
-    """The darkest pixels of each step of distance, and random pixels of open water, as pixels of
-    black; in a unit of light, which is the second.
-    """
+    """Darkest pixels at each distance and some of open water, as black, and their unit of light."""
     # single pixels would be chosen for their noise: V was 7 to 60 % off instead of 4 to 20 %
     weights = torch.tensor(LUMINANCE, dtype=torch.float64).reshape(3, 1, 1)
     grey = (weights * pictures.observed).sum(1, keepdim=True)

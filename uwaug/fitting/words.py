@@ -8,7 +8,9 @@ from uwaug.fitting.result import VISIBLE_LIGHT, Fit, Parameter, Remainder
 THIN_OPTICAL_DEPTH = 0.3  # G·z at the far end, below which a veil is still a straight line
 _SURE_ERRORS = 5.0  # standard errors of independent noise, beyond which a mean residual is real
 _DEPENDENT_EFFECT = 1.5  # design effect, above which neighbouring residuals depend on each other
-_MAX_DIGITS = 12  # of the ends of an interval
+_MAX_DIGITS = (
+    12  # of the ends of an interval# of numbers whose name and unit are not enough, by kind
+)
 _MEANINGS = {
     "veil": "of white, V(0)",
     "source": "of white, G·V(0)",
@@ -16,13 +18,10 @@ _MEANINGS = {
     "exponent": "of σ over distance",
     "contents": "times those of the type",
 }
-"""Meanings of numbers whose name and unit are not enough, by kind."""
 
 
 def left_over(remainder: Sequence[Remainder], design_effect: float, rms: float) -> list[str]:
-    """The sentence on residuals that are not noise, as they are off at one distance or alike in
-    neighbouring pixels; none otherwise.
-    """
+    """The sentence, if any, on residuals that are off at one distance, or alike in neighbours."""
     worst, example = 0.0, ""
     for row in remainder:
         for colour, mean, error in zip(COLOURS, row.mean, row.error, strict=True):
@@ -41,9 +40,7 @@ def left_over(remainder: Sequence[Remainder], design_effect: float, rms: float) 
 
 
 def straight_line(rates: Mapping[str, float], farthest: float) -> list[str]:
-    """The sentence on colours whose veil, of a rate G (1/m), has hardly begun to bend at the far
-    end (m); none otherwise.
-    """
+    """The sentence, if any, on colours whose veil, of rate G (1/m), is straight to the end (m)."""
     straight = [colour for colour, G in rates.items() if G * farthest < THIN_OPTICAL_DEPTH]
     if not straight:
         return []

@@ -12,11 +12,9 @@ from uwaug._support.types import ColorSpace
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of the channels of linear sRGB (IEC 61966-2-1)
 _MAX_SRGB = 16.0  # sRGB values above this are taken for a scale of 0…255
-
+# sRGB values below this are taken for normalised ones, which reach −2.1 with ImageNet's numbers.
+# Resampling and another gamut stay above.
 _MIN_SRGB = -0.1
-"""sRGB values below this are taken for normalised ones, which reach −2.1 with ImageNet's numbers.
-Resampling and another gamut stay above.
-"""
 
 # Where the curve's two pieces meet. The standard prints 0.04045 and 0.0031308, rounded, which
 # leaves a step of 3e-8 and makes the two functions inverse to each other only to that.
@@ -27,18 +25,15 @@ _LN2 = math.log(2)
 
 _Kernel = Callable[..., Tensor]
 
+# Values, 256 KiB in float32. Larger temporaries may go back to the system after each call, which
+# takes 3 to 5 times as long.
 _PIECE_SIZE = 1 << 16
-"""Values, 256 KiB in float32. Larger temporaries may go back to the system after each call, which
-takes 3 to 5 times as long.
-"""
 
 
 def require_values(
     image: Tensor, color_space: ColorSpace, name: str = "image"
 ) -> tuple[float, float]:
-    """Smallest and largest value of an image. NaN, infinite values and sRGB outside −.1…16 are
-    refused.
-    """
+    """Smallest and largest value; NaN, infinite values and sRGB outside −.1…16 are refused."""
     if not image.is_floating_point() or not image.numel() or torch.compiler.is_compiling():
         return 0.0, 1.0
     low, high = checks.finite(name, image)
@@ -59,9 +54,7 @@ def decoded(image: Tensor, color_space: ColorSpace) -> Tensor:
 
 
 def headroom(image: Tensor) -> float | Tensor:
-    """Largest sRGB value that a result may have: 1, as files hold no more, or the largest value of
-    a brighter picture (HDR), (B, 1, 1, 1).
-    """
+    """Largest sRGB value of a result: 1, or that of a brighter picture (HDR), (B, 1, 1, 1)."""
     if image.dtype == torch.uint8:
         return 1.0
     if checks.on_host(image) and float(image.detach().amax()) <= 1:
@@ -72,9 +65,7 @@ def headroom(image: Tensor) -> float | Tensor:
 def encoded(
     light: Tensor, color_space: ColorSpace, dtype: torch.dtype, largest: float | Tensor
 ) -> Tensor:
-    """A picture of linear light, the inverse of `decoded`: sRGB is clipped to 0…`largest`, linear
-    light never is; uint8 is rounded and clipped.
-    """
+    """The inverse of `decoded`: sRGB is clipped to 0…`largest`, linear light never is."""
     values = light
     if color_space == "srgb":
         values = _encode_positive(light) if torch.compiler.is_compiling() else linear_to_srgb(light)
@@ -90,20 +81,9 @@ def encoded(
 def srgb_to_linear(x: Tensor) -> Tensor:
     """Decode sRGB values to linear light: x/12.92 up to 0.04045, ((x + 0.055)/1.055)^2.4 above.
 
-    Elementwise on any shape; odd, f(−x) = −f(x), so that negative values and values above 1 keep
-    their meaning; 0 and 1 stay exactly 0 and 1. float16 and bfloat16 are computed in float32.
-
-    Args:
-        x: sRGB values, nominally in [0, 1].
-
-    Returns:
-        Linear light, shape and dtype of `x`, within 1e-6 of the formula in float32. Its gradient is
-        finite everywhere.
-
-    Raises:
-        TypeError: `x` is no floating-point tensor.
-
-    Source: IEC 61966-2-1:1999.
+    Elementwise on a floating-point tensor of any shape; odd, f(−x) = −f(x); 0 and 1 stay exactly 0
+    and 1. Half precision is computed in float32, within 1e-6 of the formula (IEC 61966-2-1:1999).
+    Gradients are finite everywhere.
 
     Examples:
         >>> import torch

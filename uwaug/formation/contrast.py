@@ -10,10 +10,8 @@ ratio in luminance. The gain of an exposure cancels.
 
 That holds for patterns finer than the blur, such as the texture and the edges of an object. Coarser
 ones keep more, up to T_G·ρ/(T_G·ρ + B): this is a lower bound. Against Monte Carlo light transport
-without veil, patterns of a period of 1° (2 px of the pictures) keep up to .011 more in six pictures
-and up to .019 more in walks of the same phase function (Henyey–Greenstein, mean cosine .924).
-Petzold's measured ones scatter into smaller angles: with those, patterns of .5° keep .02 to .05
-more in the mean, and up to .10.
+without veil, patterns of a period of 1° keep up to .019 more with Henyey and Greenstein's phase
+function (mean cosine .924), and patterns of .5° up to .10 more with Petzold's.
 """
 
 import numpy as np
@@ -40,30 +38,25 @@ def contrast_left(
     metres: Tensor | None = None,
     view: View = WIDE,
 ) -> Tensor:
-    """Share of the contrast of fine detail that water leaves at each pixel.
-
-    Contrast is Michelson's, of luminance: (lightest − darkest) / (lightest + darkest).
+    """Share of the contrast of fine detail that water leaves at each pixel: Michelson's, of
+    luminance, (lightest − darkest) / (lightest + darkest).
 
     Args:
         distance (1xHxW or Bx1xHxW tensor): metres along the ray, ≥ 0; +inf is open water. In uneven
             water, times the medium field.
-        medium: one row, or as many as maps. One map and B media give B results.
-        reflectance: mean light of the object, 1 = white plate at the surface; a darker object loses
-            more behind the veil. A number, or a tensor that broadcasts with (B, 3, H, W), such as
-            the scene's own linear light. The default is the grey of photography.
-        light: lamps, and the direction of daylight; None for daylight as the medium has it.
+        medium: one row, or as many as maps.
+        reflectance: mean light of the object, 1 = white plate at the surface; by default the grey
+            of photography. A number, or a tensor that broadcasts with (B, 3, H, W), such as the
+            scene's own linear light.
+        light, view: as of `uwaug.form_image`.
         metres (as distance): distance without the field, for lamps in uneven water.
-        view: of the camera, for lamps and the direction of daylight.
 
     Returns:
-        1xHxW if distance has no batch, and medium one row, else Bx1xHxW; of distance's
-        type. 1 at the lens, 0 in open water, and where the object is black or no light falls.
-        Gradients pass to distance, medium and reflectance.
+        1xHxW if distance has no batch, and medium one row, else Bx1xHxW; of distance's type. 1 at
+        the lens, 0 in open water, and where the object is black or no light falls.
 
     Raises:
-        TypeError: if medium is no `Medium`, or distance or reflectance no floating-point tensor.
-        ValueError: if shapes or batches disagree, a distance is NaN or negative, most distances lie
-            beyond 1000 m, or a reflectance is NaN, infinite or negative.
+        TypeError, ValueError: as `uwaug.form_image`, and where a reflectance is none.
 
     Examples:
         >>> import torch
@@ -106,7 +99,7 @@ def contrast_left(
 
 
 def _checked_light(reflectance: float | Tensor, z: Tensor) -> Tensor:
-    """Check a reflectance, and make it the light of an object (B or 1, 3, H, W) of z's type."""
+    """The light of an object (B or 1, 3, H, W), of z's type."""
     if not isinstance(reflectance, Tensor):
         checks.within("reflectance", reflectance, low=0.0)
         return z.new_full((1, 3, *z.shape[-2:]), reflectance)

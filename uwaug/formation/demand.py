@@ -18,61 +18,35 @@ from uwaug.optics.point_spread import Law
 from uwaug.optics.view import WIDE, Size, View
 from uwaug.optics.weights import Weights
 
-SIDES = (32, 2160)
-"""Short sides, px, from a thumbnail's to a 4K picture's, for which the command line exports."""
-
+SIDES = (32, 2160)  # short sides, px, for which the command line exports: thumbnails to 4K
 EVERY_SIDE = (1, 16384)  # short sides, px, of all pictures that a plan may be asked for
 _LONGEST_SIDES = 4  # longest side of a picture, in largest short sides of a plan for all sizes
-
+# Blur tolerance over what the pixel with most scatter allows: few have as much, and linear light
+# has less contrast than the plan assumes. At 1.75 a picture of forward scatter alone fell below
+# 60 dB at a tolerance of .002.
 _SLACK = 1.4
-"""Blur tolerance over what the pixel with most scatter allows: few have as much, and linear light
-has less contrast than the plan assumes. At 1.75 a picture of forward scatter alone fell below 60 dB
-at a tolerance of .002.
-"""
-
-_MIN_TOLERANCE = 1e-5
-"""Smallest blur tolerance for a bright exposure: with a gain of 1000, all but the darkest is white.
-"""
-
+_MIN_TOLERANCE = 1e-5  # of blurs in a bright exposure: with a gain of 1000 nearly all is white
+# Largest blur tolerance where a medium is learned, however weak its forward scatter: a slope in the
+# width is relative. Against the exact model (48 × 48 px, widths of 2…11 and 1…20 px, five waters)
+# the gradient of a loss to the scale is then within .5 %. At .002 it is within 2 %.
 _LEARNED_TOLERANCE = 0.0005
-"""Largest blur tolerance where a medium is learned, however weak its forward scatter: a slope in
-the width is relative. Against the exact model (48 × 48 px, widths of 2…11 and 1…20 px, five waters)
-the gradient of a loss to the scale is then within .5 %. At .002 it is within 2 %.
-"""
-
 _LEARNED_REACH_PX = 0.5  # smallest end of a plan for widths that are learned, so that they can grow
-
-_LEARNED_MARGIN = 1.1
-"""Factor by which a plan for gradients goes beyond the widths at hand, as half of the slope is
-missing at its very end.
-"""
-
+_LEARNED_MARGIN = 1.1  # of a plan for gradients, half of whose slope is missing at its very end
 _NEAR_SHARE = 0.02  # share by which a width may leave a plan before it shows
 _WIDEST_SIDES = 8  # widest blur, in longest sides: wider ones all give the mean
-
-_LOG_STEPS = np.linspace(0, 1, 65)
-"""Places in the logarithm of distance at which forward scatter is sampled."""
+_LOG_STEPS = np.linspace(0, 1, 65)  # in distance, at which forward scatter is sampled
 
 
 @dataclass(frozen=True)
 class BlurDemand:
-    """The blur that a medium needs over a range of distances, before the image size is known.
+    """The blur that a medium needs over a range of distances, before the image size is known."""
 
-    Attributes:
-        low, high: smallest and largest width that shows, in units of the law; both 0 if none does.
-        blur_tolerance: tolerance of the blurred picture before it is weighted with forward scatter;
-            the weaker the scatter, the larger.
-        law: of the widths.
-        view: of the camera.
-        learned: True to plan a blur even if none shows, as the width is learned.
-    """
-
-    low: float
-    high: float
-    blur_tolerance: float
+    low: float  # smallest width that shows, in units of the law; 0 if none does
+    high: float  # largest one
+    blur_tolerance: float  # of the blur before it is weighted with forward scatter
     law: Law
     view: View = WIDE
-    learned: bool = False
+    learned: bool = False  # True to plan a blur even if none shows, as the width is learned
 
     @property
     def serves_every_size(self) -> bool:
@@ -90,17 +64,13 @@ class BlurDemand:
         return other.high == 0 or (low <= other.low and other.high <= high)
 
     def plan(self, size: Size, *, shared: bool = False) -> BlurPlan:
-        """The plan for an image of (height, width) `size`.
-
-        `shared` rounds the ends of the range outwards to half octaves, so that similar demands
-        share a plan and its matrices: for media that change from call to call.
+        """The plan for an image of (height, width) `size`; `shared` rounds the ends of the range
+        outwards to half octaves, so that similar demands share a plan and its matrices.
         """
         return self._plan(size, size, shared)
 
     def plan_all(self, sides: tuple[int, int]) -> BlurPlan:
-        """One plan for all images whose short side lies in `sides`, px, and whose long side is 4
-        times the larger of these at most.
-        """
+        """One plan for all images of short `sides`, px, and of long ones up to 4 times as much."""
         smallest, largest = sides
         return self._plan((smallest, smallest), (largest, _LONGEST_SIDES * largest), False)
 
@@ -129,21 +99,15 @@ def blur_demand(
     learned: bool = False,
     margin: float = 1.0,
 ) -> BlurDemand:
-    """The blur that a medium needs over a range of effective distances, and no more.
-
-    Distances at which forward scatter is below the tolerance do not count. The weaker the scatter,
-    the larger the blur error that is allowed.
+    """The blur that a medium needs where forward scatter exceeds the tolerance.
 
     Args:
         medium: any batch; the demand covers all rows.
         distance_range: (nearest, farthest) of m·z, m; 0 ≤ nearest ≤ farthest, inf allowed.
-        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
-            single pixels may be off by 3 to 5 times as much.
+        tolerance: as of `uwaug.form_image`.
         view: of the camera.
-        learned: True to plan for gradients to the medium: finer, as slopes are wanted, and even if
-            forward scatter or its width is invisible now.
-        margin: factor by which the range of widths is widened either way, for widths that are
-            learned.
+        learned: True to plan for gradients to the medium: finer, and even if no blur shows now.
+        margin: factor by which the range of widths is widened either way.
     """
     learns_width = learned and checks.records(medium.scale, medium.exponent)
     demand = demand_of(medium.weights(), medium.law, distance_range, tolerance, view, learned)
@@ -185,9 +149,8 @@ def _scattered(
     tolerance: float,
     learned: bool,
 ) -> tuple[float, float, float]:
-    """Nearest and farthest distance, m, at which forward scatter shows, and the largest scatter of
-    any medium and channel; 0 if none shows. If it is learned, direct light stands for scatter that
-    does not show.
+    """Nearest and farthest distance, m, at which forward scatter shows, and the largest scatter, or
+    0. If it is learned, direct light stands for scatter that does not show.
     """
     scattered, direct = np.zeros(len(_LOG_STEPS)), np.zeros(len(_LOG_STEPS))
     nearest = max(near, 1e-3)
@@ -224,9 +187,7 @@ def _raise_to(largest: Array, T: Array) -> None:
 
 @compiled
 def _farthest_blurred(G: Array, signal_weights: Array) -> float:
-    """Distance, m, beyond which a pixel needs no blur, as all of the signal has faded below any
-    tolerance; `FARTHEST` if there is none.
-    """
+    """Distance, m, beyond which no signal is left to blur; `FARTHEST` if there is none."""
     slowest = math.inf
     for row in range(len(G)):
         for k in range(G.shape[1]):
@@ -236,9 +197,8 @@ def _farthest_blurred(G: Array, signal_weights: Array) -> float:
 
 
 def plan_for(z: Tensor, medium: Medium, size: Size, tolerance: float) -> BlurPlan:
-    """The plan for effective distances z, m, in a picture of (height, width) `size`, of a medium
-    whose widths are px; rounded so that similar distances share it. Gradients of the medium take a
-    finer plan.
+    """The plan for distances z, m, in a picture of (height, width) `size` of a medium whose widths
+    are px; similar distances share it, and gradients of the medium take a finer one.
     """
     learned = torch.is_grad_enabled() and medium.requires_grad
     margin = _LEARNED_MARGIN if learned else 1.0
@@ -275,8 +235,7 @@ def distance_range_of(value: Any) -> tuple[float, float]:
     """Check a `distance_range`."""
     near, far = checks.pair("distance_range", value, "(nearest, farthest) in metres")
     if not 0 <= near < far:
-        expected = "0 ≤ nearest < farthest in metres"
-        raise ValueError(f"distance_range must be {expected}, got {value}")
+        raise ValueError(f"distance_range must be 0 ≤ nearest < farthest in metres, got {value}")
     return near, far
 
 
@@ -285,6 +244,6 @@ def sides_of(value: Any) -> tuple[int, int]:
     smallest, largest = checks.pair("sides", value, "(smallest, largest) short side in px")
     whole = smallest.is_integer() and largest.is_integer()
     if not (whole and 1 <= smallest <= largest <= EVERY_SIDE[1]):
-        expected = f"whole numbers, 1 ≤ smallest ≤ largest short side ≤ {EVERY_SIDE[1]} px"
+        expected = f"whole numbers, 1 ≤ smallest ≤ largest ≤ {EVERY_SIDE[1]} px"
         raise ValueError(f"sides must be {expected}, got {value}")
     return int(smallest), int(largest)

@@ -11,8 +11,7 @@ In linear light, after the sum of all terms, in this order:
     tone            a curve through black, mid-grey and white
 
 The three after the noise are linear: one gain, or one matrix, for each picture. If they depend on
-the picture, its light is measured at some pixels spread over it, without blur and noise, which add
-none.
+the picture, its light is measured at some pixels spread over it, without blur and noise.
 """
 
 import math
@@ -35,43 +34,24 @@ from uwaug.optics.curves import Curves, raised
 from uwaug.optics.medium import Medium
 
 MID_GREY = 0.18  # linear light that a change of contrast leaves as it is
-
-GAINS = (1 / 8, 64.0)
-"""Smallest and largest gain of a metered exposure, −3 to +6 stops: from ISO 100 to 6400 are 6."""
-
+GAINS = (1 / 8, 64.0)  # of a metered exposure, −3 to +6 stops: from ISO 100 to 6400 are 6
 DARKEST = 1e-30  # mean light below which there is none to meter: quotients of less have no slope
 MOST = 16.0  # largest ratio of luminance to a channel's mean that a white balance makes up for
-
-GAMUT_FROM = 0.75
-"""Distance from grey, (max − c)/max, from which on colours are compressed. 1 is where a channel
-reaches 0."""
-
+GAMUT_FROM = 0.75  # (max − c)/max from which on colours are compressed; at 1 a channel is 0
 _BEYOND = 1 / (1 - GAMUT_FROM)
-
 _STRAIGHT_OFFSET = 1e6  # stands for the infinite offset of a straight curve
-
-TOE = 1e-4
-"""Linear light below which the curve of tone is straight: curves of less contrast are infinitely
-steep at 0.
-"""
-
+TOE = 1e-4  # light below which tone is straight: less contrast is infinitely steep at 0
+# Number of pixels at which the light is measured. Spread by a quasi-random sequence, they see
+# stripes and rows of any period in pictures of any size, and the mean luminance of noise is right
+# within 1 %. (A grid of every fourth pixel is off by 10 % at 16 px.)
 METERED = 8192
-"""Number of pixels at which the light is measured. Spread by a quasi-random sequence, they see
-stripes and rows of any period in pictures of any size, and the mean luminance of noise is right
-within 1 %. (A grid of every fourth pixel is off by 10 % at 16 px.)
-"""
-
 BURNT = 0.05  # share of the metered pixels that may burn out under lamps, before the stops
-
 _BITS = 20
 TURN = 1 << _BITS  # a whole side, in the unit of `STEPS`
-
+# Steps between metered pixels along rows and columns: 1/x and 1/x² with x³ = x + 1 (Roberts 2018,
+# the R₂ sequence), as odd whole numbers, which ONNX Runtime multiplies exactly.
 STEPS = (791_547, 597_521)
-"""Steps between metered pixels along rows and columns: 1/x and 1/x² with x³ = x + 1 (Roberts 2018,
-the R₂ sequence), as odd whole numbers, which ONNX Runtime multiplies exactly.
-"""
-
-
+# smallest and largest value of each number of a development
 DOMAINS = {
     "exposure": (-10.0, 10.0),
     "white_balance": (-1.0, 1.0),
@@ -79,7 +59,6 @@ DOMAINS = {
     "gamut": (0.0, 1.0),
     "tone": (0.25, 4.0),
 }
-"""Smallest and largest value of each number of a development."""
 
 
 @plain
@@ -92,10 +71,9 @@ class Development:
         white_balance: share of a grey-world correction, up to 1, which keeps luminance; 0 and less
             for none. Or three factors of the channels, as of a camera that was set.
         saturation: 0 for grey, 1 to leave colours as they are, up to 4.
-        gamut: share of gamut compression, 0…1. 0 clips negative channels, so that saturated colours
-            turn flat; 1 squeezes distances from grey, (max − c)/max, above .75 to below 1, along
-            the curve of ACES' reference gamut compression (Academy, S-2020-001) with power 2.
-            Colours nearer to grey stay as they are.
+        gamut: share of gamut compression, 0…1. 0 clips negative channels; 1 squeezes distances from
+            grey, (max − c)/max, above .75 to below 1, along the curve of ACES' reference gamut
+            compression (Academy, S-2020-001) with power 2.
         tone: slope of the curve about mid-grey, .25…4: c·k/(p + k) in stops a stop with
             p = .18^c and k = .82·p/(.18 − p); black, mid-grey and white stay. Light above white
             goes on along the curve's slope there.
@@ -107,8 +85,7 @@ class Development:
     Numbers may be tensors (B), as those of `stack`.
 
     Raises:
-        TypeError, ValueError: if a value is no number, or out of its range; or if the exposure is
-            "auto" and not metered.
+        TypeError, ValueError: if a value is out of its range.
     """
 
     exposure: float | Tensor | Literal["auto"] = 0.0
@@ -155,13 +132,7 @@ class Development:
 
     def gain(self, J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Tensor:
         """Gain of the linear steps for each picture: one number (B or 1, 1), a number for each
-        channel (B or 1, 3), or a matrix (B or 1, 3, 3).
-
-        Args:
-            J (Bx3xHxW tensor): linear light of the scene.
-            z (Bx1xHxW tensor): effective distance, m.
-            medium: one row, or one for each picture.
-            T: curves at every pixel that stand for the medium's, as under lamps.
+        channel (B or 1, 3), or a matrix (B or 1, 3, 3). Arguments as for `Medium.image`.
         """
         return self.gain_of(metered(J, z, medium, T) if self.measures else None, J)
 
@@ -174,9 +145,7 @@ class Development:
     def settled(
         self, J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None
     ) -> "Development":
-        """The development with the exposure and the white balance that one picture gets, for others
-        of the same scene; arguments as for `gain`.
-        """
+        """The development as one picture settles it, for others of the same scene; see `gain`."""
         if not self.measures:
             return self
         means, share = metered(J, z, medium, T), self.white_balance
@@ -233,20 +202,13 @@ def exposed(light: Tensor, gain: Tensor) -> Tensor:
 
 
 class Means(NamedTuple):
-    """Light of each picture as a camera measures it.
+    """Light of each picture as a camera measures it."""
 
-    Attributes:
-        scene (Bx3 tensor): mean light of the scene.
-        arriving (Bx3 tensor): mean light that arrives.
-        positive (Bx3 tensor): the same without negative channels, of colours outside sRGB.
-        highlight (Bx1 tensor): light that stays at or below white: the veil of the farthest pixel;
-            with a `Light`, by which parts of a picture are far brighter, the luminance that `BURNT`
-            of the pixels exceed.
-    """
-
-    scene: Tensor
-    arriving: Tensor
-    positive: Tensor
+    scene: Tensor  # Bx3: mean light of the scene
+    arriving: Tensor  # Bx3: mean light that arrives
+    positive: Tensor  # Bx3: the same without negative channels, of colours outside sRGB
+    # Bx1: light that stays at or below white: the veil of the farthest pixel; with a `Light`, by
+    # which parts of a picture are far brighter, the luminance that `BURNT` of the pixels exceed
     highlight: Tensor
 
 
@@ -305,13 +267,8 @@ def gain_at(
     factors: Array,
     saturation: float,
 ) -> Array:
-    """`Development.gain_of` of one picture, as a matrix (3, 3), for the loops.
-
-    Args:
-        means (3x3 array): light of the scene, arriving and positive, see `Means`.
-        highlight: see `Means`.
-        stops, metered, white_balance, saturation: numbers of the development.
-        factors (3 array): factors of a white balance that was set.
+    """`Development.gain_of` of one picture, as a matrix (3, 3), for the loops; of the first three
+    `Means` (3x3), and of the `factors` (3) of a white balance that was set.
     """
     luminance = np.array(LUMINANCE)
     gains = factors * 2.0**stops

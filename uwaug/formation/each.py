@@ -17,9 +17,7 @@ from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
 _GREY = 0.25  # linear light that stands for a scene whose values are not looked at
-
-_WALL_PX = (9, 12)
-"""Height and width of a wall that stands for a scene under lamps, which light a part of it."""
+_WALL_PX = (9, 12)  # height and width of a wall that stands for a scene under lamps
 
 
 def form_each(images: Tensor, z: Tensor, metres: Tensor, settings: Sequence[Setting]) -> Tensor:
@@ -29,10 +27,6 @@ def form_each(images: Tensor, z: Tensor, metres: Tensor, settings: Sequence[Sett
     PyTorch, 16 of 256² take 15 ms each; all at once, with rates padded to as many for all, 29.) On
     a device pictures by daylight alone are formed at once, then those with lamps one by one,
     without a look at values: blurs are planned for the `span` of each, in a scene of grey.
-
-    Args:
-        images, z, metres: as for `form`, a row for each picture.
-        settings: one for each picture, of one colour space.
     """
     results: dict[int, Tensor] = {}
     on_host = checks.on_host(images)
@@ -92,9 +86,7 @@ def _plans(media: Medium, settings: Sequence[Setting], z: Tensor) -> list[BlurPl
 
 
 def _lit_grey(setting: Setting, width: int) -> Medium:
-    """The medium as a camera brightens it where lamps light a grey wall at the median distance, of
-    a picture of this width, px.
-    """
+    """The medium as a camera brightens it where lamps light a grey wall at the median distance."""
     assert setting.light is not None
     metres = min(setting.span[1], FARTHEST)
     z = torch.full((1, 1, *_WALL_PX), metres, dtype=torch.float64)

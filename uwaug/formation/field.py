@@ -23,16 +23,10 @@ def gaussian_random_field(
 ) -> Tensor:
     """Draw scale-free Gaussian random fields, one per image.
 
-    The draws are independent. Each field is a sum of cosines and sines on a square torus of twice
-    the image's longest side, at the pixel centres: isotropic in pixels, and not periodic at the
-    image's borders. A seed gives the same field, sampled more or less finely, at every size whose
-    longest side is 32 px or more (at the default exponent; below it, and at smaller exponents, the
-    size limits the detail).
-
-    Each field is mapped affinely so that its smallest and largest value are `low` and `high`, which
-    bounds the distance. So the values of one field are not Gaussian, and its mean varies from draw
-    to draw (at α = 4 by .08 of the range, one standard deviation). The mean over draws is
-    (low + high)/2.
+    Each field is a sum of cosines and sines on a square torus of twice the image's longest side:
+    isotropic, and not periodic at the image's borders. A seed gives the same field at every size
+    whose longest side is 32 px or more. It is mapped affinely so that its smallest and largest
+    value are `low` and `high`, which bounds the distance; so its mean varies from draw to draw.
 
     Args:
         shape: (B, 1, H, W) as a distance map has it, (B, H, W), or (H, W) for one field; pixels.
@@ -41,19 +35,13 @@ def gaussian_random_field(
         high: largest value, ≥ `low`.
         generator: source of randomness; the global generator of the device if None. In a DataLoader
             leave it None: your own generator repeats the same numbers in every worker.
-        dtype: type of the result; torch's default if None. The draws do not depend on it.
-        device: device of the result; torch's default if None.
+        dtype, device: of the result; torch's defaults if None.
 
     Returns:
-        (B, 1, H, W), each field reaching from `low` to `high` (to rounding). A field of one pixel
-        has no range and gets (low + high)/2.
+        (B, 1, H, W), each field reaching from `low` to `high`; (low + high)/2 for a single pixel.
 
     Raises:
-        ValueError: `shape` is none of the three, a side is empty, or `exponent`, `low`, `high` are
-            out of range.
-
-    Source: the published pipeline draws a periodic field on the image's own grid and divides by its
-    mean.
+        ValueError: if an argument is none of the above.
 
     Examples:
         >>> m = gaussian_random_field((2, 1, 48, 64), generator=torch.Generator().manual_seed(0))
@@ -63,8 +51,7 @@ def gaussian_random_field(
     batch, height, width = _parse(shape)
     checks.within("exponent", exponent, 0.0)
     if not 0 <= low <= high < math.inf:
-        got = f"{low} and {high}: the field multiplies distance"
-        raise ValueError(f"low and high must satisfy 0 <= low <= high < inf, got {got}")
+        raise ValueError(f"low and high must be 0 ≤ low ≤ high < inf, got {low} and {high}")
     n = 2 * _cutoff(exponent, max(height, width)) + 1
     noise = torch.randn(batch, n, n, generator=generator, device=device, dtype=torch.float32)
     dtype = dtype or torch.get_default_dtype()
@@ -81,9 +68,7 @@ def random_fields(
     like: Tensor,
     moved: Sequence[tuple[float, float]],
 ) -> Tensor:
-    """Fields (Bx1xHxW) of seeds of torch's generator on the CPU, on the device of `like`, in
-    float32. Each moves to the right and down by so many px, and goes on beyond its edges.
-    """
+    """Fields (Bx1xHxW, float32) of seeds, on the device of `like`, moved right and down by px."""
     n = 2 * _cutoff(4.0, max(size)) + 1
     noise = torch.empty(len(seeds), n, n, dtype=torch.float32, device="cpu")
     generator = torch.Generator()
@@ -127,9 +112,7 @@ def field_of(
 
 
 def _stretched(field: Tensor, smallest: float, largest: float, low: float, high: float) -> Tensor:
-    """A field of values smallest…largest mapped to low…high. (Tensors as ends take five times as
-    long.)
-    """
+    # tensors as ends take five times as long
     scale = (high - low) / (largest - smallest) if largest > smallest else 0.0
     offset = (low + high) / 2 - (smallest + largest) / 2 * scale
     return (field * scale).add_(offset).clamp_(low, high)
@@ -143,8 +126,7 @@ class _Waves(NamedTuple):
     across: Tensor
 
 
-_CACHE: Cache[_Waves] = Cache(4 * 2**20)
-"""Waves of the sizes used last: to make them takes as long as the sum of a field at 256²."""
+_CACHE: Cache[_Waves] = Cache(4 * 2**20)  # to make waves takes as long as a field of 256²
 
 
 def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
@@ -182,12 +164,9 @@ def _cosines(side: int, longest: int, like: Tensor, count: int, moved: float = 0
 
 
 def _cutoff(exponent: float, longest: int) -> int:
-    """Number of cycles per torus to model: as many as the pixels show, or until the rest has 5 % of
-    the rms, .6 % of a distance under a field of .7…1.3.
-
-    The share of the variance beyond K is (K/0.7)^(2−α): the integral of |k|^−α outside K over its
-    sum on the lattice.
-    """
+    """Number of cycles per torus to model: all that show, or until the rest has 5 % of the rms."""
+    # the share of the variance beyond K is (K/0.7)^(2−α): the integral of |k|^−α outside K over its
+    # sum on the lattice
     if exponent <= 2:
         return longest
     log_cutoff = 2 * math.log(1 / 0.05) / (exponent - 2)
@@ -200,9 +179,7 @@ def _parse(shape: Sequence[int]) -> tuple[int, int, int]:
         if not hasattr(side, "__index__"):
             raise ValueError(f"shape must hold whole numbers, got {sides}")
     if len(sides) not in (2, 3, 4) or (len(sides) == 4 and sides[1] != 1):
-        raise ValueError(
-            f"shape must be (B, 1, H, W), (B, H, W) or (H, W), got {sides}: pass distance.shape?"
-        )
+        raise ValueError(f"shape must be (B, 1, H, W), (B, H, W) or (H, W), got {sides}")
     if min(sides[-2:]) < 1 or sides[0] < 0:
         raise ValueError(f"shape must have at least one pixel per side, got {sides}")
     return (sides[0] if len(sides) > 2 else 1), sides[-2], sides[-1]

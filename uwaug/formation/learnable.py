@@ -90,7 +90,6 @@ class LearnableMedium(nn.Module):
         self.start = FixedMedium(medium.without_lamps())
 
     def _add(self, name: str, value: Tensor) -> None:
-        """Add a parameter that becomes this value by `softplus`."""
         value = value.detach().clamp(min=_MIN_START)
         self.register_parameter(
             f"raw_{name}", nn.Parameter(value + torch.log(-torch.expm1(-value)))

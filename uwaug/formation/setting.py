@@ -15,29 +15,18 @@ from uwaug.optics.view import WIDE, View
 
 @dataclass(frozen=True)
 class Setting:
-    """Water, light and camera of a picture, or of a batch.
+    """Water, light and camera of a picture, or of a batch."""
 
-    Attributes:
-        medium: of one row, or one for each picture.
-        light: lamps, and the direction of daylight; None for daylight as the medium has it.
-        development: steps of the camera.
-        view: of the camera.
-        color_space: of the stored picture.
-        span: nearest, median and farthest effective distance of one picture, m, as they have been
-            measured.
-    """
-
-    medium: Medium
-    light: Light | None = None
+    medium: Medium  # of one row, or one for each picture
+    light: Light | None = None  # None for daylight as the medium has it
     development: Development = NEUTRAL
     view: View = WIDE
-    color_space: ColorSpace = "srgb"
+    color_space: ColorSpace = "srgb"  # of the stored picture
+    # nearest, median and farthest effective distance of one picture, m, where they are measured
     span: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def curves(self, medium: Medium, z: Tensor, metres: Tensor | None = None) -> Curves | None:
-        """Curves at every pixel under the light, see `Light.curves`; None for those of the medium,
-        which is the setting's, of the type of z.
-        """
+        """Curves at every pixel, see `Light.curves`; None for those of the medium alone."""
         return None if self.light is None else self.light.curves(medium, z, self.view, metres)
 
     def snowing(

@@ -29,17 +29,11 @@ from uwaug.light import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.view import WIDE, View
 
-_MAX_SHARE_OUTSIDE = 0.01
-"""Share of the pixels that may lie outside of the planned range without a warning."""
-
-_WIDTH_MARGIN = 2.0
-"""Factor, either way, by which a width that is learned may leave its start before a new plan."""
-
+_MAX_SHARE_OUTSIDE = 0.01  # of the pixels, beyond the planned range, without a warning
+_WIDTH_MARGIN = 2.0  # factor by which a learned width may leave its start before a new plan
+_RANGE_ROUNDING = 1e-6  # share by which float32 may exceed a range, as with a field
+# older releases were tried, and do not compile the module
 _COMPILES = tuple(map(int, torch.__version__.split(".")[:2])) >= (2, 13)
-"""True if this torch compiles the module; older ones were tried, and do not."""
-
-_RANGE_ROUNDING = 1e-6
-"""Share by which float32 may exceed a range, as with a field of .7…1.3 on the range for it."""
 
 
 class Underwater(nn.Module):
@@ -50,8 +44,7 @@ class Underwater(nn.Module):
         distance_range: (nearest, farthest) effective distance m·z, m, for which the blur is planned
             once; beyond it widths stop changing. None plans for each call's own distances, which
             cannot be compiled or exported.
-        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
-            single pixels may be off by 3 to 5 times as much.
+        tolerance: as of `uwaug.form_image`.
         color_space: "srgb" decodes, works in linear light, encodes again and clips to 0…1 (to the
             picture's own largest value if that is above 1); "linear" takes values as they are and
             never clips.
@@ -59,28 +52,22 @@ class Underwater(nn.Module):
             `uwaug.formation.LearnableMedium`; or some of ("rates", "veil", "width"). A width that
             leaves the plan gets a new plan, except in a compiled module.
         sides: (smallest, largest) short side, px, of the pictures: one plan of the blur then serves
-            them all, and a file exported from the module (`uwaug.onnx.export_onnx`) computes the
-            same. None plans for each size, which is faster: one plan for (32, 2160) takes 15 to
-            70 % more time. A Gaussian width law in px, such as `PointSpread(2.0)`, has one plan in
-            any case.
+            them all, as an exported file needs. None plans for each size, which is faster: one plan
+            for (32, 2160) takes 15 to 70 % more time.
         development: steps of the camera, see `uwaug.Development`; none by default.
         light: lamps and direction of daylight, see `uwaug.Light`; None for that of the medium.
-        view: of the camera, a `uwaug.View` or its angle in degrees. Lamps, the direction of
-            daylight, snow and width laws by focal length follow it.
+        view: of the camera, a `uwaug.View` or its angle in degrees.
 
-    A state (`state_dict`) holds the medium: loaded, the blur is planned for it, and a state of
-    another width law is refused. All other arguments are the module's own.
-
-    Keep torch's default matmul precision. With `torch.set_float32_matmul_precision("medium")`, CPUs
-    that support it multiply in bfloat16: the error is visible. `torch.compile` needs torch 2.13.
+    A state (`state_dict`) holds the medium alone; that of another width law is refused. Keep
+    torch's default matmul precision: the error of bfloat16 is visible. `torch.compile` needs torch
+    2.13.
 
     Shapes:
         image (Bx3xHxW or 3xHxW; uint8 0…255, or floating point 0…1), distance (Bx1xHxW or 1xHxW,
             m), field (as distance, or None) → image, of the same type.
 
     Raises:
-        TypeError, ValueError: as `uwaug.form_image`; and if an sRGB image exceeds 16, which is
-            taken for a scale of 0…255.
+        TypeError, ValueError: as `uwaug.form_image`; and if an sRGB image leaves −.1…16.
 
     Examples:
         >>> import torch, uwaug
@@ -156,7 +143,7 @@ class Underwater(nn.Module):
             ...
 
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
-        """Degrade an image; see the class."""
+        """Degrade an image."""
         if torch.compiler.is_compiling() and not _COMPILES:
             raise RuntimeError("torch.compile of Underwater needs torch 2.13 or newer")
         medium = self.medium
@@ -185,9 +172,7 @@ class Underwater(nn.Module):
         return Setting(medium, self.light, self.development, self.view, self.color_space)
 
     def _warn_outside(self, z: Tensor) -> None:
-        """Warn, once, if more than 1 % of the pixels lie outside of the planned range; open water
-        does not count.
-        """
+        """Warn, once, of pixels outside of the planned range; open water does not count."""
         if self._warned or self.distance_range is None or not z.numel():
             return
         near, far = self.distance_range
@@ -212,9 +197,7 @@ class Underwater(nn.Module):
             self.demand = self._demand_of(medium, margin=_WIDTH_MARGIN if self.learnable else 1.0)
 
     def _keep_up(self, medium: Medium) -> None:
-        """Plan anew if a width has left the plan: beyond its ends widths do not change and learning
-        gets stuck. A compiled module keeps its plan.
-        """
+        """Plan anew if a width has left the plan, beyond whose ends learning gets stuck."""
         if not self.learnable or self.demand is None:
             return
         if not self.demand.covers(self._demand_of(medium)):
@@ -251,11 +234,7 @@ class Underwater(nn.Module):
             if self.sides is not None:
                 at = "for short sides of {}…{} px".format(*self.sides)
             blur = f"{near:g}…{far:g} m, {self.plan((512, 512))} {at}"
-        settings = f"tolerance={self.tolerance:g}, {self.color_space}"
-        if self.development != NEUTRAL:
-            settings += f", {self.development!r}"
-        if self.light is not None:
-            settings += f", {self.light!r}"
-        if self.view != WIDE:
-            settings += f", {self.view!r}"
+        pairs = (self.development, NEUTRAL), (self.light, None), (self.view, WIDE)
+        options = "".join(f", {value!r}" for value, default in pairs if value != default)
+        settings = f"tolerance={self.tolerance:g}, {self.color_space}{options}"
         return f"{self.medium!r},\n{blur},\n{settings}"

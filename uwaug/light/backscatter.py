@@ -27,25 +27,19 @@ from uwaug.optics.curves import decay
 
 ASYMMETRY = 0.924  # mean cosine of the phase function, that of Petzold's waters
 
+# Gauss quadrature over the lit part of a ray (benchmarks/CHOICES.md)
 NODES, NODE_WEIGHTS = (values.tolist() for values in np.polynomial.legendre.leggauss(7))
-"""Gauss quadrature over the lit part of a ray (benchmarks/CHOICES.md)."""
-
 MAX_T = 1 - 1e-6  # largest t: 1 − t is above 0 in single precision
 MIN_LENGTH = 1e-6  # length that stands for 0
 
 
 class Cone(NamedTuple):
-    """Cone of a lamp as the camera's rays cross it: cos ψ = across·cos θ + along·sin θ.
-
-    Attributes:
-        across, along (1x1xHxW tensors): see above.
-        inner, outer: cosines of the angles ψ at which the light begins to fade, and has faded.
-    """
+    """Cone of a lamp as the rays (1x1xHxW) cross it: cos ψ = across·cos θ + along·sin θ."""
 
     across: Tensor
     along: Tensor
-    inner: float
-    outer: float
+    inner: float  # cosine of the angle ψ at which the light begins to fade
+    outer: float  # the same where it has faded
 
     def share(self, cosine: Tensor, sine: Tensor) -> Tensor:
         """Share of the light at angles θ."""
@@ -83,8 +77,7 @@ def backscatter(
     Args:
         G (BxL tensor): rates of the water, 1/m.
         weights (Bx3xL tensor): weights of b, 1/m, see `uwaug.Medium.under_lamp`.
-        nearest (1x1xHxW tensor): s₀ of each ray, m.
-        height (1x1xHxW tensor): h of each ray, m, > 0.
+        nearest, height (1x1xHxW tensors): s₀ and h > 0 of each ray, m.
         cone: None for a lamp that shines to all sides.
         z (Bx1xHxW tensor): distance, m.
         density (number or Bx1xHxW tensor): the medium field m.

@@ -5,16 +5,9 @@ its way grows by e^(K_d·s·x) at x metres, where K_d is some .8 of the veil's a
 the veil of endless water grows by G/(G − K_d·s). Light from above also turns by less than 90° into
 such a ray, which is more probable; by Monte Carlo transport this makes the same factor once more.
 
-Against transport of an overcast sky in seas with Petzold's phase function, 8 m deep, veil of
-endless water relative to the level one (II at 480 nm, 1C and 3C at 550 nm; `python -m
-benchmarks.accuracy.direction`):
-
-| elevation | −45° | −20° | −10° | 10° | 20° | 45° |
-|---|---|---|---|---|---|---|
-| II | .44 | .66 | .80 | 1.22 | 1.50 | 4.24 |
-| 1C | .31 | .53 | .70 | 1.55 | 2.35 | 12.5 |
-| 3C | .36 | .58 | .74 | 1.35 | 1.92 | 4.51 |
-| here | .41 | .62 | .77 | 1.35 | 1.89 | 5.30 |
+Against transport of an overcast sky in seas with Petzold's phase function, 8 m deep, the veil of
+endless water relative to the level one is .53 to .66 at −20° in II, 1C and 3C, and 1.50 to 2.35 at
+20°, where it is .62 and 1.89 here (`python -m benchmarks.accuracy.direction`).
 """
 
 import math
@@ -25,19 +18,13 @@ from torch import Tensor
 
 from uwaug.optics.view import View
 
-MAX_RISE = math.sqrt(0.5)
-"""Sine of the elevation (45°) above which the veil grows no more: there the surface is in view."""
-
+MAX_RISE = math.sqrt(0.5)  # sine of 45°, above which the surface is in view and the veil is even
 RISE = 0.8  # share K_d/G of the attenuation of daylight in that of the veil
 
 
 def veil_factor(pitch: float | Tensor | Sequence[float], z: Tensor, view: View) -> Tensor:
-    """Factor of daylight's veil on each ray of pictures (B or 1, 1, H, W).
-
-    Args:
-        pitch (number or B): angle of the camera's axis above the horizon, degrees.
-        z (Bx1xHxW tensor): a map of the pictures.
-        view: of the camera.
+    """Factor of daylight's veil on each ray of the pictures of a map z (B or 1, 1, H, W), for
+    angles of the camera's axis above the horizon (a number or B), degrees.
     """
     angles = torch.as_tensor(pitch).to(z).reshape(-1, 1, 1, 1) * (math.pi / 180)
     rays = view.rays(z)

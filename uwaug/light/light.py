@@ -35,17 +35,11 @@ _MIN_LIGHT = 1e-30  # amount of light that stands for none
 
 
 class Sent(NamedTuple):
-    """Light of a lamp on a scene, without the water.
+    """Light of a lamp on a scene, without the water."""
 
-    Attributes:
-        share (Bx1xHxW tensor): light at each surface, relative to a white plate at 1 m.
-        path (Bx1xHxW tensor): distance from the lamp to the surface, m.
-        nearest, height, cone: the lamp beside the rays, see `uwaug.light.backscatter`.
-    """
-
-    share: Tensor
-    path: Tensor
-    nearest: Tensor
+    share: Tensor  # Bx1xHxW: light at each surface, relative to a white plate at 1 m
+    path: Tensor  # Bx1xHxW: distance from the lamp to the surface, m
+    nearest: Tensor  # this and the next: the lamp beside the rays, see `uwaug.light.backscatter`
     height: Tensor
     cone: Cone | None
 
@@ -53,8 +47,7 @@ class Sent(NamedTuple):
 @codec.plain
 @dataclass(frozen=True)
 class Lamp:
-    """Lamp in the water. Coordinates are the camera's: x to the right of the picture, y down, z
-    forward.
+    """Lamp in the water. Coordinates are the camera's: x to the right, y down, z forward.
 
     Attributes:
         position: m.
@@ -127,9 +120,7 @@ class Light:
         lamps: any number of `Lamp`.
         daylight: factor of daylight, and of its veil; ≥ 0.
         pitch: angle of the camera's axis above the horizon, degrees, −90…90, or a tensor of one for
-            each picture (B), which may require gradients: the veil of daylight is brighter towards
-            the surface, see `uwaug.light.direction`. None: alike in all directions, as in the
-            paper.
+            each picture (B), which may learn, see `uwaug.light.direction`. None: alike all around.
 
     Raises:
         TypeError, ValueError: if a lamp is no `Lamp`, or a number is outside its domain.
@@ -164,15 +155,8 @@ class Light:
             object.__setattr__(self, "pitch", float(cast(float, self.pitch)))
 
     def curves(self, medium: Medium, z: Tensor, view: View, metres: Tensor | None = None) -> Curves:
-        """Light of a white scene that reaches the camera at each pixel: unscattered, scattered
-        forward, and the veil. In place of `Medium.curves`; gradients pass to distances, medium and
-        pitch.
-
-        Args:
-            medium: of B or 1 rows, of the type of z.
-            z (Bx1xHxW tensor): effective distance, m, finite: times the medium field.
-            view: of the camera.
-            metres (Bx1xHxW tensor): the distance itself, if there is a field.
+        """In place of `Medium.curves`: light of a white scene that reaches the camera at each
+        pixel, at effective distances z (Bx1xHxW), m: `metres` times the field where there is one.
         """
         day = medium.brightened(z.new_full((1, 1), self.daylight)).curves(z)
         if self.pitch is not None:
@@ -193,14 +177,8 @@ class Light:
         self, water: Medium, rays: Rays, z: Tensor, density: float | Tensor = 1.0
     ) -> tuple[Tensor, Tensor]:
         """Light of the lamps that arrives from a white scene at each pixel (Bx3xHxW, or
-        Bx3x3xHxW), and their fog (Bx3xHxW).
-
-        Args:
-            water: from `uwaug.Medium.under_lamp`.
-            rays: the picture's.
-            z (Bx1xHxW tensor): distance, m.
-            density (number or Bx1xHxW tensor): the medium field, on each ray and on the lamps' way
-                to its surface.
+        Bx3x3xHxW), and their fog (Bx3xHxW), in a water from `uwaug.Medium.under_lamp`, at distances
+        z (Bx1xHxW), m. The density is the medium field.
         """
         sent = [lamp.sent(rays, z) for lamp in self.lamps]
         fogs = []
@@ -236,9 +214,7 @@ class Light:
         return total + passed(_dimmed(arrives, _straight(water, z)), white_light)
 
     def planned(self, medium: Medium) -> Medium:
-        """Medium for which a blur is planned. A lamp may light the scene as daylight does at the
-        surface, however dim daylight is at the scene.
-        """
+        """Medium for which a blur is planned: lamps may be as bright as daylight at the surface."""
         return medium.under_lamp() if self.lamps else medium
 
 
@@ -248,8 +224,8 @@ def density_of(z: Tensor, metres: Tensor) -> Tensor:
 
 
 def _straight(water: Medium, z: Tensor) -> Tensor:
-    """Share T_β/T_G of the arriving light that has come straight from the surface: of each channel,
-    or one of all (Bx1xHxW) for surfaces with spectra, where a channel may be black or negative.
+    """Share T_β/T_G of the arriving light that has come straight from the surface; of all channels
+    (Bx1xHxW) for surfaces with spectra, where one may be black or negative.
     """
     direct = _summed(water.beta, white(water.direct_weights), z)
     signal = _summed(water.G, white(water.signal_weights), z)

@@ -23,17 +23,13 @@ _SOFT_SHARE = 0.4  # softness of an edge as a share of the particle's radius: ag
 
 
 class Flakes(NamedTuple):
-    """Particles, N of them, in a picture, see `uwaug.light.snow`.
+    """Particles, N of them, in a picture."""
 
-    Attributes:
-        places (8xN): column and row of the middle, px; radii along the long axis where the light
-            begins to fall, and is gone, px; factors of dx², dx·dy and dy² in the square of such a
-            radius; metres along the ray.
-        light (3xN): sum over all pixels.
-    """
-
+    # 8xN: column and row of the middle, px; radii along the long axis where the light begins to
+    # fall, and is gone, px; factors of dx², dx·dy and dy² in the square of such a radius; metres
+    # along the ray
     places: Tensor
-    light: Tensor
+    light: Tensor  # 3xN: sum over all pixels
 
 
 def flakes(
@@ -95,14 +91,8 @@ def snowing(
     metres: Tensor | None = None,
     J: Tensor | None = None,
 ) -> Curves | None:
-    """Add the light of the medium's particles to the veil of a picture's curves.
-
-    Args:
-        T: curves from `Light.curves`; None for those of the medium.
-        medium: of B or 1 rows.
-        light: lamps; None for daylight.
-        z, view, metres: as for `Light.curves`.
-        J (Bx3xHxW tensor): pictures that may share a map and a medium.
+    """Add the light of the medium's particles to the veil of curves from `Light.curves`, whose
+    arguments these are, or of the medium's own; for pictures J that may share a map and a medium.
     """
     if not medium.snow:
         return T

@@ -1,9 +1,4 @@
-"""ONNX files of `Underwater` modules: export, check and runner.
-
-The graph takes any batch, height and width. It cannot raise. NaN stays NaN, in the whole picture
-with a metered exposure. A negative distance counts as 0, and +inf is open water. Distances outside
-the planned range get the nearer end's blur, as in PyTorch.
-"""
+"""ONNX files of `Underwater` modules: export, check and runner."""
 
 from uwaug.onnx.check import Report, check_onnx
 from uwaug.onnx.export import export_onnx

@@ -1,9 +1,8 @@
 """Blurs of a plan as convolutions, for pictures of any size.
 
-`uwaug.blur` works in blocks and caches that a graph has no room for. Here all but the widest blurs
-are convolutions with a channel for each px, or cell, of a period. All results of a period come from
-one window, which is twice as fast as a window for each. Work is done in whole periods of rows and
-columns; what lies beyond the picture is cut off at the end.
+All but the widest blurs are convolutions with a channel for each px, or cell, of a period. All
+results of a period come from one window, which is twice as fast as a window for each. What lies
+beyond the picture, up to whole periods, is cut off at the end.
 
 Blurs end, and are mixed, with their rows in order of phase: row 0 of all periods, row 1 of all, and
 so on. That is how a convolution leaves them, and only the mixture is brought into the rows' order.
@@ -104,9 +103,7 @@ class _Coarse(nn.Module):
 
 
 class _Wide(nn.Module):
-    """Blur on a grid with cells of several periods, by small dense matrices. The kernel may exceed
-    the image.
-    """
+    """Blur on a grid with cells of several periods, by small dense matrices."""
 
     def __init__(self, sigma: float, cell: float, reach: float) -> None:
         super().__init__()
@@ -156,7 +153,6 @@ def _window(first: Tensor, kernel: Tensor) -> Tensor:
 
 
 def _periods(size: int) -> int:
-    """Number of periods that cover a size."""
     return (size + PERIOD - 1) // PERIOD
 
 
@@ -174,8 +170,8 @@ def _joined(phases: Tensor, size: torch.Size) -> Tensor:
 
 
 def _folded(x: Tensor, axis: int, lead: int, tail: int, period: int) -> Tensor:
-    """Extend x (BxCxHxW) along an axis by `lead` px before it, and after it up to whole periods and
-    `tail` px. It is folded back at the edges.
+    """Extend x (BxCxHxW) by px that are folded back at the edges: `lead` before an axis, and after
+    it up to whole periods and `tail`.
     """
     size = x.shape[axis]
     periods = (size + period - 1) // period * period

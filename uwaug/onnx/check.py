@@ -49,11 +49,9 @@ def check_onnx(
     *,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
-    """Check an exported file against its module.
-
-    `onnx.checker` reads the file. Then ONNX Runtime, with optimisations off and on, is compared
-    with PyTorch in float64: batches of 1, 2 and 5; smallest, odd, even and large sizes; constant,
-    random, zero, far and infinite distances. A file that takes coefficients gets other media, too.
+    """Check an exported file against its module: ONNX Runtime, with optimisations off and on,
+    against PyTorch in float64, for batches, sizes and distances of all kinds. A file that takes
+    coefficients gets other media, too.
 
     Args:
         path: the file.
@@ -62,7 +60,6 @@ def check_onnx(
 
     Raises:
         ImportError: if the onnx extra is not installed.
-        OSError: if the file cannot be read.
         ValueError: naming the worst case, if a picture differs by more than 2e-5 (times the factor
             by which its development brightens; under lamps, of its brightest value); or if the
             module hardly changes a picture, so that a graph that returns its input would pass.
@@ -113,9 +110,8 @@ def check_onnx(
             differences.append((off / brightest, name))
     worst, where = max(differences)
     if worst > limit:
-        raise ValueError(
-            f"{path}: differs from float64 eager by {worst:.3g} (limit {limit:g}) at {where}"
-        )
+        by = f"{worst:.3g} (limit {limit:g}) at {where}"
+        raise ValueError(f"{path}: differs from float64 eager by {by}")
     if change <= 2 * limit:
         danger = "a graph that returns its input would pass"
         raise ValueError(f"module changes a picture by {change:.2g} at most: {danger}")
@@ -141,7 +137,6 @@ def _varied(light: Light, number: int, batch: int) -> Light:
 def _exact(
     module: Underwater, inputs: dict[str, Tensor], medium: Medium, light: Light | None
 ) -> Tensor:
-    """Picture of the module in double precision."""
     normals = inputs.get("noise")
     with torch.no_grad():
         return form(
@@ -173,7 +168,6 @@ def _difference(
 
 
 def _cases(module: Underwater) -> Iterator[_Case]:
-    """Batches, sizes and distances on which a file is checked."""
     assert module.distance_range is not None
     assert module.sides is not None
     rng = torch.Generator().manual_seed(0)

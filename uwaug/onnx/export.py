@@ -33,7 +33,7 @@ from uwaug.optics.medium import Medium
 
 _OPSET = 18  # operator set of the file, the first that can add scattered values
 _TORCH = (2, 13)  # oldest release of torch that exports; 2.6 cannot trace free sizes
-
+# names of free sizes
 _FREE = {
     "B": "batch",
     "H": "height",
@@ -43,7 +43,6 @@ _FREE = {
     "M": "lamp_rates",
     "N": "lamp_scatter_rates",
 }
-"""Names of free sizes."""
 
 _log = logging.getLogger(__name__)
 
@@ -57,26 +56,19 @@ def export_onnx(
 ) -> Path:
     """Write a module as an ONNX file that needs no uwaug to run.
 
-    Inputs, all float32: image (Bx3xHxW), distance (Bx1xHxW, m), noise (Bx3xHxW, standard normals)
-    if the development has a sensor, and coefficients if asked for. Output: as the image.
+    Inputs and output stand in `uwaug/onnx/README.md`.
 
     Args:
         module: with a `distance_range` and `sides`, which fix the plan of the blur. Learnable
             numbers are written as they stand.
-        path: of the file; written whole after `check_onnx` has passed it, or not at all. A symbolic
-            link stays, and its target is replaced.
+        path: of the file; written whole after `check_onnx` has passed it, or not at all.
         coefficients: make numbers of the medium and the light inputs, with a row for each image,
-            see `uwaug.onnx.coefficients_of`: the pitch, power and color of lamps, but not their
-            places. One file then serves every water whose widths lie in the
-            plan: export a module of all of them, `Underwater(Medium.stack(…))`.
+            see `uwaug.onnx.coefficients_of`. One file then serves every water whose widths lie in
+            the plan: export a module of all of them, `Underwater(Medium.stack(…))`.
         progress: a function that is told each step, such as `print`; None logs one line.
-
-    Returns:
-        The path.
 
     Raises:
         ImportError: if the onnx extra is not installed, or torch is older than 2.13.
-        OSError: if the folder is missing or cannot be written to, or `path` is no regular file.
         TypeError, ValueError: if the module cannot be exported, or the file fails its check.
 
     Examples:
@@ -104,23 +96,19 @@ def export_onnx(
 
 
 def _require_exportable(module: Underwater, coefficients: bool) -> None:
-    """Refuse anything but a module that a file can hold."""
     cure = "; export Underwater(Medium.stack(…)) with coefficients=True to change the water"
     checks.instance("module", module, Underwater, cure)
     if module.sides is None:
         cure = f"give Underwater(…, distance_range=(near, far), sides={SIDES})"
         raise ValueError(f"module has no plan of the blur for pictures of any size: {cure}")
     if len(module.medium) != 1 and not coefficients:
-        held = f"{len(module.medium)} media, of which only one can be in a file"
-        raise ValueError(f"module holds {held}: give coefficients=True")
+        raise ValueError(f"module holds {len(module.medium)} media: give coefficients=True")
     if module.medium.snow:
         cure = "export it of medium.with_snow(None)"
         raise ValueError(f"module has marine snow, which no file can draw: {cure}")
 
 
 class _Traced(Medium):
-    """Medium in a graph."""
-
     def _any_at_lens(self, z: Tensor) -> bool:
         return False  # ONNX has no expm1, by which digits would be kept
 
@@ -162,8 +150,8 @@ class Graph(nn.Module):
         self.constants = {n: t.detach().to("cpu", torch.float32) for n, t in tensors}
 
     def forward(self, *values: Tensor) -> Tensor:
-        """Form a picture from image (Bx3xHxW), distance (Bx1xHxW), noise (Bx3xHxW) if there is a
-        sensor, and the tensors of `coefficients_of` if they are inputs.
+        """Form a picture from image, distance, noise if there is a sensor, and coefficients if they
+        are inputs.
         """
         image, distance, *inputs = values
         normals = None
@@ -206,7 +194,6 @@ def _examples(graph: Graph, coefficients: bool) -> dict[str, tuple[Tensor, dict[
 
 
 def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) -> Any:
-    """Trace a module into an ONNX model."""
     plan = plan_of(module)
     graph = Graph(module, plan).eval()
     examples = _examples(graph, coefficients)
@@ -267,9 +254,7 @@ def _metadata(module: Underwater, plan: BlurPlan, coefficients: bool) -> dict[st
 
 
 def _drop_assertions(program: torch.export.ExportedProgram) -> None:
-    """Drop the trace's assertions that sizes differ where they do in the example. The computation
-    holds where they are equal, too.
-    """
+    """Drop assertions that sizes differ, as they do in the example: they need not."""
     for node in list(program.graph.nodes):
         if node.target is torch.ops.aten._assert_scalar.default:
             program.graph.erase_node(node)
@@ -288,9 +273,7 @@ def _drop_traces(graph: Any) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence two messages of the exporter: a deprecation inside torch, and operators of a
-    torchvision that is not used.
-    """
+    """Silence two messages of the exporter, on what lies inside torch and in torchvision."""
     log = logging.getLogger("torch.onnx._internal.exporter._registration")
 
     def mute(record: logging.LogRecord) -> bool:

@@ -22,6 +22,7 @@ from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import as_matrices
 from uwaug.optics.view import View
 
+# Inputs of files: shape, meaning and unit. B pictures, K, L, M and N rates.
 INPUTS = {
     "image": "Bx3xHxW, linear light or sRGB, see uwaug_module; 0…1, red, green, blue",
     "distance": "Bx1xHxW, metres along the ray, ≥ 0; +inf is open water",
@@ -43,7 +44,6 @@ INPUTS = {
     "pitch": "B, angle of the camera's axis above the horizon, degrees, -90…90",
     "output": "Bx3xHxW, the picture under water, as image",
 }
-"""Inputs of files: shape, meaning and unit. B pictures, K, L, M and N rates."""
 
 
 def described(name: str) -> str:
@@ -58,12 +58,8 @@ Picture = TypeVar("Picture", Tensor, Array)
 
 def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
     """Read the metadata of a file: `uwaug_version`, `uwaug_water`, `uwaug_plan`,
-    `uwaug_coefficients` ("constants" or "inputs") and, as JSON, `uwaug_module`.
-
-    Raises:
-        ImportError: if onnxruntime is not installed.
-        OSError: if the file cannot be read.
-        ValueError: if it is not from `export_onnx`.
+    `uwaug_coefficients` ("constants" or "inputs") and, as JSON, `uwaug_module`. A ValueError says
+    that it is not from `export_onnx`.
     """
     session = Session(path, 1, optimise=False).opened
     metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
@@ -77,11 +73,7 @@ _MADE = (Medium, Development, Light, View)
 
 
 def module_of(path: str | os.PathLike[str], metadata: dict[str, str]) -> Underwater:
-    """Make the module of the file at `path` from its metadata.
-
-    Raises:
-        ValueError: if the metadata are damaged.
-    """
+    """Make the module of the file at `path` from its metadata."""
     try:
         arguments = json.loads(metadata["uwaug_module"])
         return Underwater(**{key: from_plain(x, *_MADE) for key, x in arguments.items()})
@@ -92,8 +84,7 @@ def module_of(path: str | os.PathLike[str], metadata: dict[str, str]) -> Underwa
 
 def coefficients_of(medium: Medium, light: Light | None = None) -> dict[str, Array]:
     """Numbers of a medium, and of a light in it, by name, for a file exported with
-    `coefficients=True`: float32, a row for each medium, shapes as `INPUTS` says. The numbers of
-    rates are free.
+    `coefficients=True`: float32, a row for each medium.
     """
     has_lamps = light is not None and bool(light.lamps)
     tensors = (medium.lamplit() if has_lamps else medium.without_lamps()).named_tensors()
@@ -111,9 +102,7 @@ def coefficients_of(medium: Medium, light: Light | None = None) -> dict[str, Arr
 
 
 def input_rows(media: Mapping[str, Medium], light: Light | None = None) -> dict[str, Any]:
-    """Rows of named media, for JSON that another language feeds into a file: `waters` by name, each
-    with its `coefficients_of`, and the meaning and unit of each of these `inputs`.
-    """
+    """`coefficients_of` named media (`waters`) for JSON, with meanings and units (`inputs`)."""
     rows = {
         name: {key: value.tolist() for key, value in coefficients_of(medium, light).items()}
         for name, medium in media.items()
@@ -132,9 +121,6 @@ class OnnxUnderwater:
 
     Attributes:
         metadata: see `read_metadata`.
-
-    Raises:
-        ImportError, OSError, ValueError: as `read_metadata`.
     """
 
     def __init__(self, path: str | os.PathLike[str], threads: int = 0) -> None:
@@ -152,21 +138,12 @@ class OnnxUnderwater:
         medium: Medium | None = None,
         light: Light | None = None,
     ) -> Picture:
-        """Degrade an image.
+        """Degrade an image: a tensor or an array, as `uwaug.Underwater`, in float32 or uint8.
 
         Args:
-            image (Bx3xHxW or 3xHxW tensor or array): floating point (0…1) or uint8 (0…255), in the
-                module's color space.
-            distance (Bx1xHxW or 1xHxW tensor or array): metres, ≥ 0; +inf is open water.
+            image, distance: as of the module.
             medium: one, or one for each image; only for a file with coefficients as inputs.
             light: another pitch, and other powers and colors of the file's lamps; likewise.
-
-        Returns:
-            The picture in float32, or uint8 as the image: a tensor or an array, as the image.
-
-        Raises:
-            TypeError, ValueError: as `Underwater` would; and if a medium is lacking, or given to a
-                file that takes none; or if a light is no variant of the file's.
         """
         pictures, maps = map(_tensor, (image, distance))
         module = self.module
@@ -215,8 +192,7 @@ class OnnxUnderwater:
         rows = {name: torch.from_numpy(x) for name, x in numbers.items()}
         own = coefficients_of(self.module.medium, self.module.light)
         if any(rows[name].ndim > own[name].ndim for name in rows):
-            got = "the file is for grey surfaces, got a medium of surfaces with spectra"
-            raise ValueError(f"medium: {got}")
+            raise ValueError("medium must be of grey surfaces, as the file, got some with spectra")
         mixing = [name for name in rows if rows[name].ndim < own[name].ndim]
         return rows | {name: as_matrices(rows[name]) for name in mixing}
 

@@ -107,14 +107,10 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
 
     Raises:
         TypeError, ValueError: if it is none of these, or the file no such table (with the line).
-        OSError: if the file cannot be read.
 
     Source of the named cameras: Darrodi et al., *Reference data set for camera spectral sensitivity
     estimation*, JOSA A 32 (2015), measured at NPL, as packaged by colour-science (BSD-3-Clause).
 
-    Examples:
-        >>> load_camera("nikon 5100 (npl)")
-        Camera('Nikon 5100 (NPL)', 81 wavelengths, 380–780 nm)
     """
     if isinstance(camera, Camera):
         return camera
@@ -149,7 +145,6 @@ def require_covered(camera: Camera, low: float, high: float) -> None:
 
 
 def _matrix(values: ArrayLike) -> Array:
-    """Check a colour matrix, and scale its rows to a sum of 1."""
     matrix = np.array(values, np.float64)
     sums = matrix.sum(-1) if matrix.shape == (3, 3) else np.zeros(3)
     if not (np.isfinite(matrix).all() and (sums > 0).all() and np.linalg.cond(matrix) < 1e3):

@@ -6,16 +6,10 @@
     K_d = √(A² + (.425 μ₀ − .19) A (b − b_w)) / μ₀,  A = a + b_w/2,  μ₀ = .9
 
 with C chlorophyll [mg/m³], g CDOM [1/m at 440 nm], s minerals [g/m³]. Particles that belong to the
-phytoplankton are in A_p; ν = (log₁₀ C − .3)/2 in [−1, 0] is 0 for C > 2. Against the tables of
-Jerlov's types, with the best C, g and s of each, at 400–700 nm, RMS of the logarithm (mean, worst
-type):
-
-    |                          | a        | b        | K_d      |
-    | Solonenko & Mobley 2015  | .10, .24 | .07, .20 | .08, .10 |
-    | Williamson & Hollins '22 | .10, .17 | .03, .04 | .14, .22 |
-    | the two from each other  | .37, .61 | .66, 1.3 | .11, .21 |
-
-The worst is type III, which Solonenko & Mobley let scatter 1/m and hardly absorb.
+phytoplankton are in A_p; ν = (log₁₀ C − .3)/2 in [−1, 0] is 0 for C > 2. From the tables of
+Jerlov's types, with the best C, g and s of each, a, b and K_d are off by .03 to .14 (mean RMS of
+the logarithm), as the two tables are from each other by .11 to .66. The worst is type III, which
+Solonenko & Mobley let scatter 1/m and hardly absorb.
 
 References:
     A_p, E_p: Bricaud et al., J. Geophys. Res. 103 (1998), particles of Case 1 waters, measured at

@@ -33,22 +33,14 @@ class Curves(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """A medium's curves as one matrix product of exponentials; made by `Medium.sums`.
+    """A medium's curves as one matrix product of exponentials; made by `Medium.sums`."""
 
-    Attributes:
-        rates (BxRx1): first 0 (its exponential is 1 and carries the constants), then the rates of
-            the direct term, then those that signal and veil share.
-        weights (Bx9xR): the three curves, of three channels each; Bx21xR of surfaces with spectra,
-            whose first two curves have nine.
-        direct: number of the rates of the direct term.
-        shifted: index of the first rate whose exponential stands for e^−x − 1; None if all stand
-            for e^−x.
-    """
-
+    # BxRx1: 0, whose exponential carries constants, rates of the direct term, of signal and veil
     rates: Tensor
+    # Bx9xR: three curves of three channels; Bx21xR of surfaces with spectra, two of nine
     weights: Tensor
-    direct: int
-    shifted: int | None
+    direct: int  # number of the rates of the direct term
+    shifted: int | None  # the first rate whose exponential stands for e^−x − 1, if any
 
     @property
     def is_spectral(self) -> bool:

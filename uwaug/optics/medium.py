@@ -34,8 +34,8 @@ from uwaug._support.checks import DOMAIN
 from uwaug._support.codec import from_plain, plain
 from uwaug._support.types import Array
 from uwaug.optics.camera import Camera, load_camera, require_covered, response_at
-from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves, mix
-from uwaug.optics.point_spread import IN_PIXELS, Law, PointSpread, width_at
+from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves, mix, raised
+from uwaug.optics.point_spread import IN_PIXELS, LENGTHS, Law, PointSpread
 from uwaug.optics.reduction import attenuations, default_bands, reduced, reduced_curves
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.snow import MarineSnow
@@ -75,9 +75,8 @@ class Medium:
         veil_weights (Bx3xL tensor): weights of V; their sum is the veil at infinite distance.
         b_mean (B tensor): b̄, scattering coefficient for the width law, 1/m.
         scale, exponent (B tensors): numbers of the width law, see `PointSpread`.
-        lamp_beta (BxM tensor), lamp_direct_weights (Bx3xM or Bx3x3xM), lamp_G (BxN),
-            lamp_signal_weights (Bx3xN or Bx3x3xN), lamp_veil_weights (Bx3xN): the same in the light
-            of a lamp, see `under_lamp`; without rates where they follow from the others.
+        lamp_…: the first five in the light of a lamp, of other numbers of rates, see `under_lamp`;
+            without rates where they follow from the others.
         law: shape and unit of the width law.
         notes: a line on each medium.
         snow: particles of each medium, see `with_snow`; empty if none has any.
@@ -491,13 +490,9 @@ class Medium:
         return curves(self.sums(exact_at_lens=self._any_at_lens(z)), z)
 
     def image(self, z: Tensor, J: Tensor, soft: Tensor, T: Curves | None = None) -> Tensor:
-        """The sum of the model, D + F + B = Σ T_β·(J − soft) + T_G·soft + V(0) − V and the
-        `further_terms`.
-
-        Args:
-            z (Bx1xHxW tensor): effective distance, m, finite, ≥ 0.
-            J, soft (Bx3xHxW tensors): linear light of the scene, and its blur.
-            T: curves at z that stand for the medium's, as under lamps.
+        """D + F + B = Σ T_β·(J − soft) + T_G·soft + V(0) − V and the `further_terms`, of linear
+        light J (Bx3xHxW) and its blur, at distances z (Bx1xHxW), m, finite, ≥ 0. T are curves there
+        that stand for the medium's, as under lamps.
         """
         if T is not None:
             arriving = T.image(J, soft)
@@ -520,9 +515,8 @@ class Medium:
         return {name: term.expand_as(direct) for name, term in terms.items()}
 
     def further_terms(self, z: Tensor) -> dict[str, Tensor]:
-        """Terms (B or 1, 3, H, W) beside the three, by their names in `uwaug.formation.Terms`:
-        light that the water adds before a point at distance z (Bx1xHxW), m. A new term, such as
-        plankton that glows, goes here.
+        """Light (B or 1, 3, H, W) that the water adds before a point at distance z (Bx1xHxW), m, by
+        names of `uwaug.formation.Terms`. A new term, such as plankton that glows, goes here.
         """
         return {}
 
@@ -553,8 +547,8 @@ class Medium:
         return Curves(*(curve.reshape(*curve.shape[:-2], *z.shape) for curve in maps))
 
     def brightened(self, gain: Tensor) -> "Medium":
-        """The medium as seen by a camera that multiplies light by `gain`: a number (B or 1), a
-        number for each channel (B or 1, 3), or a matrix that mixes channels (B or 1, 3, 3).
+        """The medium as seen by a camera that multiplies light by `gain`: numbers (B or 1), one for
+        each channel (B or 1, 3), or matrices that mix channels (B or 1, 3, 3).
         """
         wide, gain = self.lamplit().expand(len(gain)), gain.to(self.beta)
         gained: dict[str, Any] = {}
@@ -580,7 +574,9 @@ class Medium:
         b_mean, scale, exponent = (
             getattr(self, name).reshape(-1, 1, 1, 1).to(z) for name in _OF_WIDTHS
         )
-        return width_at(b_mean * z.clamp(max=FARTHEST), scale, exponent)
+        lengths = (b_mean * z.clamp(max=FARTHEST)).clip(*LENGTHS)
+        width: Tensor = scale * raised(lengths, exponent)
+        return width
 
     @property
     def width_law(self) -> str:

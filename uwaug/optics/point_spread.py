@@ -5,13 +5,11 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 import torch
-from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug._support.codec import plain
 from uwaug._support.types import Shape
-from uwaug.optics.curves import raised
 from uwaug.optics.view import Size, View
 
 Unit = Literal["px", "paper", "focal"]
@@ -28,8 +26,7 @@ class Law:
     """What a width law is besides its numbers.
 
     Attributes:
-        shape: "gaussian", or "exponential" for the classical transfer function e^(−2πσf), see
-            `uwaug.blur.plan_blur`.
+        shape: "gaussian", or "exponential" for the classical transfer function e^(−2πσf).
         unit: "px" of the image at hand; "paper", px where the short side has 518, so that a picture
             does not depend on its resolution; or "focal", focal lengths of the view, so that it
             does not depend on crops either.
@@ -99,18 +96,10 @@ class PointSpread:
     @staticmethod
     def calibrated() -> "PointSpread":
         """Law fitted to Monte Carlo light transport with Petzold's measured phase functions and the
-        Henyey–Greenstein function (HG) of mean cosine .924. Use it with g = .05 and μ = .075, which
-        keep the paper's μ/g.
+        Henyey–Greenstein function of mean cosine .924. Use it with g = .05 and μ = .075.
 
-        Mean RMSE of direct + forward light over b̄z = .1…5, from
-        `python -m benchmarks.accuracy.physics`:
-
-            |                                       | Petzold's | HG .924 | .90   | .85   |
-            | this law                              | .0066     | .0075   | .0100 | .0181 |
-            | one Gaussian, .080, .51, with g .066  | .0115     | .0108   | .0088 | .0123 |
-            | the paper's                           | .037      | .053    | .050  | .046  |
-
-        Its tails need more blurs, which takes about 1.5 times the time of that Gaussian.
+        The RMSE of direct + forward light over b̄z = .1…5 is .0066 and .0075; of the paper's law it
+        is .037 and .053 (`python -m benchmarks.accuracy.physics`).
         """
         return PointSpread(0.030, 0.62, "exponential", "focal")
 
@@ -118,8 +107,3 @@ class PointSpread:
     def none() -> "PointSpread":
         """No blur: forward scatter adds light but moves none."""
         return PointSpread(0.0)
-
-
-def width_at(lengths: Tensor, scale: Tensor, exponent: Tensor) -> Tensor:
-    """scale·lengths^exponent, of scattering lengths b̄·z whose shapes broadcast."""
-    return scale * raised(lengths.clip(*LENGTHS), exponent)

@@ -11,28 +11,21 @@ from uwaug.optics.curves import FARTHEST
 
 Reduced = tuple[Array, Array, float]  # rates (K), ascending; weights (C, K); the largest error
 
+# Largest numbers of rates that are tried first and at all. At a tolerance of .002 the ten types
+# need 2 to 4. Each takes time before it is known whether it is needed.
 _FIRST_RATES, _MAX_RATES = 4, 12
-"""Largest numbers of rates that are tried first and at all. At a tolerance of .002 the ten types
-need 2 to 4. Each takes time before it is known whether it is needed.
-"""
-
+# Sampled places in the logarithm of distance, 20 a decade. Between them the error is as claimed,
+# within 1 %.
 _LOG_STEPS = np.linspace(0, 1, 96)
-"""Sampled places in the logarithm of distance, 20 a decade. Between them the error is as claimed,
-within 1 %.
-"""
-
+# Optical depths between which distances are sampled: of the fastest rate, below which all curves
+# are straight, and of the slowest, above which they have faded.
 _STRAIGHT_DEPTH, _FADED_DEPTH = 0.01, 10.0
-"""Optical depths between which distances are sampled: of the fastest rate, below which all curves
-are straight, and of the slowest, above which they have faded.
-"""
-
 _NEAREST_M = 1e-12  # smallest distance that is sampled, beside 0
 _TINY = 1e-300  # stands for 0 under a logarithm and below a fraction
 
 
 def reduce_rates(rates: Array, weights: Array, tolerance: float) -> Reduced:
-    """Replace sums over all bands by sums over as few shared rates as `tolerance` allows, at any
-    distance.
+    """Replace sums over all bands by sums over as few shared rates as `tolerance` allows.
 
     The rates are the nodes of the Gauss quadrature (Golub & Welsch 1969) of all measures taken
     together, on the logarithm of the rates, as distances spread over decades. (On the rates
@@ -89,10 +82,8 @@ def distances_of(rates: Array) -> Array:
 @compiled
 def _jacobi(points: Array, weights: Array, max_size: int) -> Array:
     """Jacobi matrix of a discrete measure, below the diagonal: the nodes of the k-point Gauss rule
-    are the eigenvalues of its leading k×k block.
-
-    This is Lanczos' recurrence, orthogonalised against all vectors before: a step takes a tenth of
-    the time of QR factors of Chebyshev polynomials, which give twelve at once.
+    are the eigenvalues of its leading k×k block. It is Lanczos' recurrence, orthogonalised against
+    all vectors before.
     """
     matrix = np.zeros((max_size, max_size))
     vectors = np.empty((max_size, len(points)))

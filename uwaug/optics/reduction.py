@@ -41,8 +41,7 @@ def reduced(
     Args:
         beta, G (M arrays): from `attenuations`.
         light, veil (M arrays): E = e^(−K_d d) and V(0) = μ·b·E/G.
-        response (3xM array): response of the camera, with its colour matrix if there is a basis;
-            rows sum to 1.
+        response (3xM array): of the camera, with its colour matrix if there is a basis.
         basis (3xM array): reflectances of surfaces with spectra; None for grey ones.
         tolerance: largest error of each curve; 0 keeps every band.
     """

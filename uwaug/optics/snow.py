@@ -27,24 +27,15 @@ _MARGIN = 0.06
 
 
 class Particles(NamedTuple):
-    """N particles before a camera.
+    """N particles before a camera."""
 
-    Attributes:
-        x, y (N arrays): tangents of the angles to the right and down.
-        z (N array): distances along the axis of the camera, m.
-        diameter (N array): diameters of discs of the same area, m.
-        stretch (N array): √ of long over short axis, 1…√2.
-        turn (N array): angles of the long axis, radians.
-        brightness (N array): shares of the reflectance, 0…1.
-    """
-
-    x: Array
-    y: Array
-    z: Array
-    diameter: Array
-    stretch: Array
-    turn: Array
-    brightness: Array
+    x: Array  # tangents of the angles to the right
+    y: Array  # and down
+    z: Array  # distances along the axis of the camera, m
+    diameter: Array  # of discs of the same area, m
+    stretch: Array  # √ of long over short axis, 1…√2
+    turn: Array  # angles of the long axis, radians
+    brightness: Array  # shares of the reflectance, 0…1
 
 
 @plain
@@ -52,15 +43,14 @@ class Particles(NamedTuple):
 class MarineSnow(Seeded):
     """Particles in the water before a camera, by a seed.
 
-    Their number falls with the third power of the diameter, n(d) ∝ d^−3, from 50 µm to 5 mm. Every
-    metre of distance then has as many particles of an apparent size d/z. Each has a place in the
-    water, which moves before the camera, or the camera in it.
+    Their number falls with the third power of the diameter, n(d) ∝ d^−3, from 50 µm to 5 mm. Each
+    has a place in the water, which moves before the camera, or the camera in it.
 
     Attributes:
         density: particles of .5 mm and more in a cubic metre, 1…100 000; in
             `uwaug.RandomUnderwater` also a range (low, high), drawn uniformly in its logarithm.
         reflectance: share of a white plate's light that the brightest particle sends back, 0…1. The
-            others, evenly spread, send less, as aggregates are translucent.
+            others, evenly spread, send less.
         aperture: focal length of the lens over its f-number, m.
         focus: distance at which the lens is sharp, m.
         seed: a whole number from 0 to 2^32 − 1, for the same snow in all pictures of a shape, of
@@ -73,9 +63,6 @@ class MarineSnow(Seeded):
 
     Source: G. A. Jackson et al., Deep-Sea Research I 44, 1997: exponents of 2.96 to 3.00 by
     diameters in images, from 1 µm to 1 cm.
-
-    Examples:
-        >>> medium = Medium.from_water("II").with_snow(MarineSnow(5000))  # doctest: +SKIP
     """
 
     density: Range = number(2000.0, 1.0, 1e5, logarithmic=True)

@@ -172,9 +172,7 @@ def _announces(cells: Sequence[str], spectra: Mapping[str, str]) -> bool:
 
 
 def _scale(cell: str, is_axis: bool) -> float | None:
-    """Factor from the unit in a cell of a header to nm, of wavelengths, or to 1/m; None if the unit
-    is unknown, 1 without one.
-    """
+    """Factor from the unit in a cell of a header to nm or 1/m; None if unknown, 1 without one."""
     text = unicodedata.normalize("NFKC", cell).lower().replace("μ", "u").replace("\u2212", "-")
     brackets = _IN_BRACKETS.search(text)
     if is_axis:

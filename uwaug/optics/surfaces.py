@@ -44,18 +44,10 @@ def _table() -> Array:
 def through_camera(
     sensor: Array, basis: Array, share: float = 1.0, camera_matrix: Array | None = None
 ) -> tuple[Array, Array]:
-    """Response (3, N) of a camera with its colour matrix C, and reflectances (3, N) of the surfaces
-    that it shows in air as R, G and B: (C·M)⁻¹ makes them of the basis. With C = M⁻¹ they are the
-    basis; with less of it they have purer colours.
-
-    Args:
-        sensor (3xN array): response of the camera; rows sum to 1.
-        basis (3xN array): from `reflectances`, at the same wavelengths.
-        share: share of the camera's matrix, 0…1: C = 1 + share·(camera_matrix − 1).
-        camera_matrix (3x3 array): None for M⁻¹.
-
-    Raises:
-        ValueError: if the channels cannot tell three colours apart.
+    """Response (3, N) of a camera with its colour matrix C = 1 + share·(camera_matrix − 1), by
+    default M⁻¹, and reflectances (3, N) of the surfaces that it shows in air as R, G and B: (C·M)⁻¹
+    makes them of the basis. With C = M⁻¹ they are the basis; with less of it they have purer
+    colours.
     """
     M = sensor @ basis.T
     full = _inverse(M.tobytes()) if camera_matrix is None else camera_matrix
@@ -65,7 +57,7 @@ def through_camera(
 
 @lru_cache(maxsize=16)
 def _inverse(matrix: bytes) -> Array:
-    """M⁻¹ (3, 3), of M given as the bytes of its array; refuses an M that has none."""
+    """M⁻¹ (3, 3), of M given as the bytes of its array."""
     M = np.frombuffer(matrix).reshape(3, 3)
     if np.linalg.cond(M) > _MAX_CONDITION:
         cure = "cover 400–700 nm, or give surfaces='grey'"
@@ -74,9 +66,7 @@ def _inverse(matrix: bytes) -> Array:
 
 
 def measure(response: Array, basis: Array | None) -> Array:
-    """Light of each wavelength that reaches the channels: S_c (3, N) of grey surfaces, S_c·ρ_j
-    (9, N) of surfaces with spectra.
-    """
+    """Light that reaches the channels: S_c (3, N), or S_c·ρ_j (9, N) of surfaces with spectra."""
     return response if basis is None else (response[:, None] * basis).reshape(9, -1)
 
 
@@ -90,9 +80,7 @@ def nine_rows(weights: Array) -> Array:
 
 
 def row_of(values: Array) -> Tensor:
-    """A number as a tensor (1), rates (K) as (1, K), weights (3, K) as (1, 3, K), weights (9, K) as
-    (1, 3, 3, K), on the CPU whatever torch's default device. The tensor shares an array's memory.
-    """
+    """An array as a tensor of one row, which shares its memory; weights (9, K) as (1, 3, 3, K)."""
     shape = (3, 3, -1) if values.ndim == 2 and len(values) == 9 else values.shape
     return torch.from_numpy(values.reshape(1, *shape))  # a tenth of the time of torch.tensor
 

@@ -23,9 +23,8 @@ class View:
     daylight, lamps and snow follow from it.
 
     Attributes:
-        degrees: horizontal angle of view, 1…170. It stays as it is when a picture is resized.
-        focal_px: focal length, px of the picture at hand, in place of degrees. It stays as it is
-            when a picture is cropped.
+        degrees: horizontal angle of view, 1…170. It stays when a picture is resized.
+        focal_px: focal length, px, in place of degrees. It stays when a picture is cropped.
         center: column and row, px, where the axis of the camera passes, counted from the middle of
             the first pixel; None for the middle of the picture.
 
@@ -106,18 +105,11 @@ WIDE = View()  # the view that stands for an unknown one, 60° wide
 
 
 class Rays(NamedTuple):
-    """Rays of a picture, from a camera at the origin that looks along z; x points right, y down; in
-    metres.
+    """Rays of a picture, from a camera at the origin that looks along z; x points right, y down."""
 
-    Attributes:
-        x (1x1x1xW tensor): tangent of each column's angle to the right.
-        y (1x1xHx1 tensor): tangent of each row's angle down.
-        shortening (1x1xHxW tensor): 1/|(x, y, 1)|, length along z per length of a ray.
-    """
-
-    x: Tensor
-    y: Tensor
-    shortening: Tensor
+    x: Tensor  # 1x1x1xW: tangent of each column's angle to the right
+    y: Tensor  # 1x1xHx1: tangent of each row's angle down
+    shortening: Tensor  # 1x1xHxW: 1/|(x, y, 1)|, length along z per length of a ray
 
     @staticmethod
     def of(x: Tensor, y: Tensor) -> "Rays":

@@ -120,13 +120,9 @@ class Water(Spectra):
         Args:
             type: one of ``JERLOV_TYPES``, in any case.
             source: ``"solonenko2015"``, a, b and K_d of all ten types at 300–700 nm; its misprinted
-                rows (3C at 675 and 700 nm, 5C at 600–700 nm) take a from Williamson & Hollins 2022,
-                b from the paper's own scattering model and K_d from Jerlov 1976.
+                rows (3C at 675 and 700 nm, 5C at 600–700 nm) are replaced, see ``provenance``.
                 ``"williamson2022"``, measured a and b of IB to 5C at 310–700 nm, with K_d from
                 Jerlov 1976.
-
-        Raises:
-            ValueError: if the type or the source is unknown, or the source lacks the type.
 
         References:
             Solonenko and Mobley, *Inherent optical properties of Jerlov water types*, Appl. Opt. 54
@@ -155,9 +151,6 @@ class Water(Spectra):
                 cdom, absorption of coloured dissolved organic matter at 440 nm, 1/m: .01 in the
                 ocean, .1 to 1 at coasts, 10 in peat lakes.
                 minerals, suspended, g/m³: 0 in the ocean, .1 to 10 at coasts, 100 in rivers.
-
-        Raises:
-            ValueError: if a content is unknown, or is no number in its range.
 
         Examples:
             >>> lake = Water.from_constituents(chlorophyll=12, cdom=0.8, minerals=2)
@@ -221,11 +214,8 @@ class Water(Spectra):
         over 400–700 nm, or the part of it that this water covers (ValueError if there is none). It
         is inf where nothing is attenuated.
 
-        References:
-            Duntley, *Light in the sea*, JOSA 53 (1963): contrast along a horizontal path falls as
-                e^(−c r).
-            Zaneveld and Pegau, *Robust underwater visibility parameter*, Opt. Express 11 (2003):
-                photopic attenuation.
+        Sources: Duntley, *Light in the sea*, JOSA 53 (1963); Zaneveld and Pegau, *Robust underwater
+        visibility parameter*, Opt. Express 11 (2003).
 
         Examples:
             >>> {t: round(Water.jerlov(t).visibility(), 1) for t in ("I", "IB", "II", "3C", "9C")}
@@ -261,19 +251,14 @@ class Water(Spectra):
         ``metres`` keeps this share of its luminance contrast. A share of .02 at 4 m is a visibility
         of 4 m. See ``contrast(metres)``.
 
-        All that is dissolved and suspended is scaled by one factor s; pure sea water stays:
+        All that is dissolved and suspended is scaled by one factor s; pure sea water stays, and so
+        does the hue of the contents:
 
             a = a_w + s (a − a_w),  b = b_w + s (b − b_w),
             K_d = K_w + s (K_d − K_w),  K_w = a_w + b_w / 2.
 
-        So type 9C brought to the visibility of 1C absorbs .345/m at 650 nm, where 1C has .344/m.
         Where a spectrum lies below pure water (noise, or another water table), all of it counts as
-        water. K_d is linear in the contents only to first order. The hue of the contents stays: to
-        change it, ``mix``.
-
-        Args:
-            contrast: the share wanted, above 0, up to that of pure water.
-            metres: distance [m], > 0.
+        water. K_d is linear in the contents only to first order.
 
         Raises:
             ValueError: if ``contrast`` is more than pure water allows, or nothing but water is
@@ -299,9 +284,7 @@ class Water(Spectra):
         name = f"{self.name} with {contrast:g} of the contrast at {metres:g} m"
         factor = self.contents_for(contrast, metres)
         if math.isinf(factor):
-            raise ValueError(
-                f"{self.name!r} is nothing but pure water to the eye: nothing to scale"
-            )
+            raise ValueError(f"{self.name!r} is but pure water to the eye: nothing to scale")
         provenance = (*self.provenance, f"{name}: all but pure water scaled by {factor:.4g}")
         return self._scaled(factor, name, provenance)
 
@@ -363,7 +346,6 @@ class Water(Spectra):
         return np.array([a, b, np.minimum(self.kd, a + b / 2)])
 
     def _scaled(self, factor: float, name: str, provenance: tuple[str, ...]) -> Self:
-        """This water with its contents scaled by a factor."""
         fine = self._fine()
         pure = fine._pure()
         with np.errstate(over="ignore"):
@@ -414,7 +396,6 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
 
     Raises:
         TypeError, ValueError: if it is none of these, or the file no such table (with the line).
-        OSError: if the file cannot be read.
 
     Examples:
         >>> load_water("7c"), load_water("chlorophyll=5,cdom=0.3").name
@@ -423,8 +404,7 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
     if isinstance(water, Water):
         return water
     if not isinstance(water, str | os.PathLike):
-        expected = "a Jerlov type, contents such as 'chlorophyll=5', a CSV file or a uwaug.Water"
-        raise TypeError(f"water must be {expected}, got {water!r:.80}; see Water.jerlov")
+        raise TypeError(f"water must be a Jerlov type, a file or a uwaug.Water, got {water!r:.80}")
     if not isinstance(water, str) or water.lower().endswith(".csv"):
         return _read_csv(Path(water))
     if "*" in water:

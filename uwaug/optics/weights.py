@@ -7,22 +7,14 @@ from uwaug.optics.point_spread import LENGTHS
 
 
 class Weights(NamedTuple):
-    """Arrays of B media in double precision.
+    """Arrays of B media in double precision."""
 
-    Attributes:
-        beta, G (BxK, BxL arrays): rates, 1/m.
-        direct, signal (Bx9xK, Bx9xL arrays): weights of T_β and T_G, three channels of the scene
-            for each of the picture.
-        veil (Bx3xL array): weights of V.
-        b_mean, scale, exponent (B arrays): of the width law.
-    """
-
-    beta: Array
-    direct: Array
-    G: Array
-    signal: Array
-    veil: Array
-    b_mean: Array
+    beta: Array  # BxK: rates of the direct term, 1/m
+    direct: Array  # Bx9xK: weights of T_β, three channels of the scene for each of the picture
+    G: Array  # BxL: rates of signal and veil, 1/m
+    signal: Array  # Bx9xL: weights of T_G
+    veil: Array  # Bx3xL: weights of V
+    b_mean: Array  # B: this and the next two are of the width law
     scale: Array
     exponent: Array
 
