@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -24,8 +24,7 @@ from uwaug.optics.water import Water
 from uwaug.presets.scene import Scene
 from uwaug.transforms.random_underwater import RandomUnderwater
 
-_DEPTH_M = 5.0
-"""Depth (m) below the surface of scenes in waters."""
+_DEPTH_M = 5.0  # below the surface, of scenes in waters
 
 SETTING = (
     f"Scene {_DEPTH_M:g} m deep, surfaces with spectra, a camera with its colour matrix and an "
@@ -38,19 +37,12 @@ _CURVES_IN = 3.2, 2.16
 
 
 class Case(NamedTuple):
-    """Medium and camera in which the terms are drawn.
+    """Medium and camera in which the terms are drawn."""
 
-    Attributes:
-        name: of the water, for the heading.
-        setting: place of the scene in it, for the caption.
-        module: medium and camera.
-        field_range: least and largest value of the medium field.
-    """
-
-    name: str
-    setting: str
+    name: str  # of the water, for the heading
+    setting: str  # place of the scene in it, for the caption
     module: Underwater
-    field_range: tuple[float, float]
+    field_range: tuple[float, float]  # of the medium field
 
 
 def water_case(water: Water, scene: Scene, field_range: tuple[float, float] = (1.0, 1.0)) -> Case:
@@ -64,27 +56,22 @@ def preset_case(name: str, preset: RandomUnderwater) -> Case:
     only = preset.module()
     if only.light is not None:
         raise ValueError(f"{name}: sheets of terms are by daylight, but it has a light of its own")
-    module = Underwater(
-        only.medium, None, color_space=only.color_space, development=only.development
-    )
+    space, camera = only.color_space, only.development
+    module = Underwater(only.medium, None, color_space=space, development=camera)
     setting = f"Preset {name}: {only.medium.notes[0]}"
     return Case(f"preset {name}", setting, module, preset.water.field or (1.0, 1.0))
 
 
 def in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
     """Make a module of waters, 5 m deep, with spectral surfaces and the calibrated width law."""
-    media = (
-        Medium.from_water(
-            water,
-            vertical_depth=_DEPTH_M,
-            g=Scattering.CALIBRATED.g,
-            point_spread=PointSpread.calibrated(),
-            surfaces="spectral",
-        )
-        for water in waters
-    )
-    camera = Development("auto", gamut=1.0)
-    return Underwater(Medium.stack(media), None, development=camera, view=scene.view)
+    options: dict[str, Any] = {
+        "vertical_depth": _DEPTH_M,
+        "g": Scattering.CALIBRATED.g,
+        "point_spread": PointSpread.calibrated(),
+        "surfaces": "spectral",
+    }
+    media = Medium.stack(Medium.from_water(water, **options) for water in waters)
+    return Underwater(media, None, development=Development("auto", gamut=1.0), view=scene.view)
 
 
 def sheet_of(scene: Scene, cells: Sequence[Cell], heading: str, caption: str) -> Image.Image:

@@ -49,7 +49,7 @@ def plan_of_page() -> BlurPlan:
 
 
 def tables() -> dict[str, Any]:
-    """Collect all numbers, as JSON holds them."""
+    """All numbers, as JSON holds them."""
     camera, axis = load_camera(RandomWater.camera), WAVELENGTHS.tobytes()
     law, (least, most) = PointSpread.calibrated(), LENGTHS
     absorbed, scattered = constituents.pure_water(axis)
@@ -113,9 +113,7 @@ def tables() -> dict[str, Any]:
 
 
 def _cue() -> dict[str, Any]:
-    """The network of `uwaug.distance.cue`: (name, channels out, channels in, side) of each kernel,
-    and all numbers in turn as float16.
-    """
+    """The network of `uwaug.distance.cue`: shape of each kernel, all numbers in turn as float16."""
     layers = cue.learnt()
     numbers = torch.cat([part.flatten() for layer in layers.values() for part in layer])
     return {

@@ -213,8 +213,8 @@ class RandomWater(Noun):
 
     def ranges(self) -> dict[str, Range | None]:
         """See `Noun.ranges`; none if all waters are a `Medium`."""
-        is_medium = [isinstance(water, Medium) for water in self.by_name.values()]
-        return {} if all(is_medium) else super().ranges()
+        are_media = all(isinstance(water, Medium) for water in self.by_name.values())
+        return {} if are_media else super().ranges()
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
         """See `Noun.drawn`; "waters" are the names of one or two, or amounts of contents."""
@@ -243,8 +243,8 @@ class RandomWater(Noun):
 
     def random(self) -> list[str]:
         """See `Noun.random`; the field is an input of `uwaug.Underwater`."""
-        ranges = [water for water in self.by_name.values() if isinstance(water, Constituents)]
-        return ["waters"] * (len(self.by_name) > 1 or len(ranges) > 0) + super().random()
+        has_contents = any(isinstance(water, Constituents) for water in self.by_name.values())
+        return ["waters"] * (len(self.by_name) > 1 or has_contents) + super().random()
 
     def of_each_picture(self) -> list[str]:
         """Names of the options that follow from the distances of a picture."""

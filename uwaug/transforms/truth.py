@@ -26,9 +26,8 @@ class Coefficients(NamedTuple):
 
         gain·(ambient·J·e^(−beta_d·z) + b_inf·(1 − e^(−beta_b·z)))
 
-    Light that reaches the camera is a sum of exponentials of distance, part of it blurred. Light at
-    depth and endless veil are the water's; the rates are the nearest single ones, by least squares
-    over the picture.
+    Light at depth and endless veil are the water's; the rates are the nearest single ones to its
+    many, by least squares over the picture.
 
     Attributes:
         beta_d, beta_b: attenuation of the scene's light, and of the veil, 1/m.
