@@ -19,6 +19,7 @@ from uwaug import (
     RandomUnderwater,
     RandomWater,
     Scattering,
+    Sensor,
     Underwater,
     Water,
     contrast_left,
@@ -337,3 +338,31 @@ def test_a_stack_keeps_what_lamps_need() -> None:
     for row, medium in enumerate((deep, bare)):
         alone = form_image(image, z, medium, light=light).direct
         torch.testing.assert_close(both.direct[row : row + 1], alone, rtol=1e-9, atol=1e-12)
+
+
+def test_grey_surfaces_stay_grey_beside_spectra() -> None:
+    image, z = (x.float() for x in scene(1))
+    light = Light((BESIDE,), daylight=0.2)
+    grey = Medium.from_water("7C", point_spread=PointSpread.none())
+    both = Medium.stack(
+        [grey, Medium.from_water("II", surfaces="spectral", point_spread=PointSpread.none())]
+    )
+    for kind in (torch.float32, torch.float64):
+        values = image.to(kind), z.to(kind)
+        alone = Underwater(grey, None, light=light)(*values)
+        torch.testing.assert_close(
+            Underwater(both, None, light=light)(*values)[:1], alone, rtol=0, atol=2e-6
+        )
+
+
+def test_each_pitch_has_terms_and_noise_of_its_own() -> None:
+    image, z = (x.float() for x in scene(1))
+    light = Light(pitch=torch.tensor([10.0, -10.0]))
+    terms = form_image(image, z, MEDIUM, light=light)
+    assert terms.image.shape == terms.direct.shape == (2, 3, *image.shape[-2:])
+    assert contrast_left(z, MEDIUM, light=light).shape == (2, 1, *image.shape[-2:])
+    degrade = Underwater(
+        MEDIUM, None, light=light, development=Development(noise=Sensor(8000, seed=3))
+    )
+    exact = degrade(image.double(), z.double())
+    torch.testing.assert_close(degrade(image, z).double(), exact, rtol=0, atol=2e-5)

@@ -320,3 +320,13 @@ def test_without_a_seed_each_picture_of_a_batch_has_its_own() -> None:
     for values in (pictures, pictures.double()):  # by the loops, by PyTorch
         first, second = degrade(values, one_map.to(values))
         assert (first - second).abs().max() > 1e-3
+
+
+def test_in_a_field_it_stands_where_it_stands_by_any_light() -> None:
+    image, z, thin = torch.zeros(1, 3, *SIZE), far().float(), torch.full((1, 1, *SIZE), 0.3)
+    snowy = WATER.with_snow(SNOW)
+    by_day, by_light = (
+        Underwater(snowy, None, color_space="linear", light=light)(image, z, thin)
+        for light in (None, Light())
+    )
+    torch.testing.assert_close(by_day, by_light, rtol=0, atol=1e-6)

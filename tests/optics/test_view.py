@@ -108,6 +108,7 @@ def test_degrees_and_px_are_one() -> None:
         ({"degrees": 180.0}, r"view: degrees must be in \[1, 170\], got 180"),
         ({"focal_px": 0.0}, "view: focal_px must be finite and > 0"),
         ({"center": 3.0}, "view: center must be"),
+        ({"center": (math.nan, 3.0)}, "view: center must be finite"),
     ],
 )
 def test_what_is_no_view_is_refused(arguments: dict[str, Any], message: str) -> None:
@@ -122,3 +123,14 @@ def test_a_focal_length_in_millimetres_is_refused() -> None:
         aug(image, depth)
     with pytest.raises(TypeError, match=r"view must be a uwaug\.View, got str; or give its angle"):
         RandomUnderwater(view="wide")
+
+
+def test_a_view_in_px_plans_for_sizes_that_no_picture_has() -> None:
+    view = View(focal_px=525)
+    law = PointSpread.calibrated()
+    degrade = Underwater(Medium.from_water("3C", g=1.0, point_spread=law), view=view)
+    image, z = rand(1, 3, 24, 32).float(), 1 + rand(1, 1, 24, 32).float()
+    assert degrade(image, z).isfinite().all()
+    medium = Medium.from_water("3C", g=0.05, point_spread=law)
+    assert Underwater(medium, view=view, sides=(32, 2160)).plan((400, 600)) is not None
+    assert "View" in repr(Underwater(medium, view=View(focal_px=50)))

@@ -84,14 +84,10 @@ def form(
     maps = z.detach().contiguous()
     unscaled = maps if metres is None else metres.detach().contiguous()
     weights = _in_pixels(medium, setting, size)
-    lit, brightest = medium, weights
+    brightest = weights
     if light is not None and light.lamps:
-        lit = light.planned(medium)
-        brightest = _in_pixels(lit, setting, size)
-    lamps = [
-        lamps_table(light, brightest.row(n), is_spectral=lit.is_spectral)
-        for n in range(len(medium))
-    ]
+        brightest = _in_pixels(light.planned(medium), setting, size)
+    lamps = [lamps_table(light, brightest.row(n)) for n in range(len(medium))]
     waters = _waters(medium, light, weights, lamps, maps)
     rays = rays_tables(setting.view, light, size)
     batch = max(len(J), len(maps), len(medium), len(rays))

@@ -299,7 +299,7 @@ def _tabulated(function: Callable[[Array], Array], ends: tuple[float, float]) ->
     return DistanceTable(entries[0], rows.astype(np.float32))
 
 
-def lamps_table(light: Light | None, row: Weights, *, is_spectral: bool) -> LampsTable:
+def lamps_table(light: Light | None, row: Weights) -> LampsTable:
     """The table of lamps over a water of one row, from `uwaug.Medium.under_lamp`."""
     if light is None or not light.lamps:
         return _NO_LAMPS
@@ -307,7 +307,7 @@ def lamps_table(light: Light | None, row: Weights, *, is_spectral: bool) -> Lamp
     of_lamps = [row.seen_by(colour[None]) for colour in colours]
     # one share for each channel; for surfaces with spectra, one for all
     straight, signal = (x.reshape(3, 3, -1).sum(1) for x in (row.direct, row.signal))
-    if is_spectral:
+    if row.signal[0].reshape(3, 3, -1)[~np.eye(3, dtype=bool)].any():  # channels mix
         straight, signal = straight.sum(0, keepdims=True), signal.sum(0, keepdims=True)
     places = [(*lamp.position, *lamp.axis, *lamp.fade, lamp.cone is None) for lamp in light.lamps]
     return LampsTable(

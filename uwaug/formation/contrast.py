@@ -73,7 +73,10 @@ def contrast_left(
         checks.same_size(name, value, distance)
         if not torch.compiler.is_compiling():
             checks.distances(name, value)
-    checks.batches({"medium": len(medium), "distance": len(distance) if distance.ndim == 4 else 1})
+    sizes = {"medium": len(medium), "distance": len(distance) if distance.ndim == 4 else 1}
+    if light is not None and isinstance(light.pitch, Tensor):
+        sizes["pitch"] = light.pitch.numel()
+    checks.batches(sizes)
     if light is not None:
         checks.instance("light", light, Light)
     with checks.full_precision(distance):

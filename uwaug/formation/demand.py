@@ -75,6 +75,8 @@ class BlurDemand:
         return self._plan((smallest, smallest), (largest, _LONGEST_SIDES * largest), False)
 
     def _plan(self, smallest: Size, largest: Size, shared: bool) -> BlurPlan:
+        if self.high == 0 and not self.learned:
+            return NO_BLUR
         longest = max(largest)
         low = self.low * self.law.pixels(smallest, self.view)
         high = self.high * self.law.pixels(largest, self.view)

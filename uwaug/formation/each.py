@@ -32,7 +32,7 @@ def form_each(images: Tensor, z: Tensor, metres: Tensor, settings: Sequence[Sett
     on_host = checks.on_host(images)
     for indices in () if on_host else _days(settings):
         rows = slice(None) if len(indices) == len(images) else indices
-        pictures = _at_once(images[rows], z[rows], [settings[i] for i in indices])
+        pictures = _at_once(images[rows], z[rows], metres[rows], [settings[i] for i in indices])
         results |= dict(zip(indices, torch.split(pictures, 1), strict=True))
     for i, setting in enumerate(settings):
         if i in results:
@@ -61,7 +61,7 @@ def _days(settings: Sequence[Setting]) -> list[list[int]]:
     return list(days.values())
 
 
-def _at_once(images: Tensor, z: Tensor, settings: Sequence[Setting]) -> Tensor:
+def _at_once(images: Tensor, z: Tensor, metres: Tensor, settings: Sequence[Setting]) -> Tensor:
     """Form all pictures by daylight at once, without reading their values on the host."""
     medium = Medium.stack([setting.medium for setting in settings])
     development = Development.stack([setting.development for setting in settings], z)
@@ -72,7 +72,7 @@ def _at_once(images: Tensor, z: Tensor, settings: Sequence[Setting]) -> Tensor:
         day = medium.brightened(torch.full((1, 1), light.daylight))
     stacked = replace(settings[0], medium=medium, light=light, development=development)
     plans = _plans(_of_grey(day, settings), settings, z)
-    return form(images, z, stacked, plans=plans)
+    return form(images, z, stacked, metres=metres, plans=plans)
 
 
 def _plans(media: Medium, settings: Sequence[Setting], z: Tensor) -> list[BlurPlan]:

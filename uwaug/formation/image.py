@@ -89,7 +89,8 @@ def form(
     largest = headroom(image) if color_space == "srgb" else 1.0
     sensor, noise = development.noise, () if normals is None else (normals,)
     if sensor is not None and not noise:
-        noise = (sensor.normals(max(len(J), len(z), len(medium)), size, z),)
+        batch = max(len(J), len(z), len(medium), 0 if T is None else len(T.veil))
+        noise = (sensor.normals(batch, size, z),)
 
     def stored(z: Tensor, J: Tensor, soft: Tensor, *noise: Tensor) -> Tensor:
         arriving = medium.image(z, J, soft, T)
@@ -210,7 +211,7 @@ def form_image(
     Source: "Sea-ing Through Scattered Rays" (2025), with a sign of the forward term corrected.
     """
     checks.floating("image", image)
-    validate(image, distance, medium, color_space="linear", light=light)
+    validate(image, distance, medium, color_space="linear", light=light, view=view)
     with checks.full_precision(image):
         J = image if image.ndim == 4 else image[None]
         dtype = torch.promote_types(image.dtype, torch.float32)

@@ -11,6 +11,7 @@ from uwaug.formation.colour import require_values
 from uwaug.light import Light
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
+from uwaug.optics.view import WIDE, View
 
 
 def validate(
@@ -21,6 +22,7 @@ def validate(
     *,
     color_space: ColorSpace,
     light: Light | None = None,
+    view: View = WIDE,
 ) -> None:
     """Refuse inputs of a wrong type, shape, batch, device or value."""
     checks.instance("medium", medium, Medium, "; see Medium.from_water")
@@ -38,6 +40,7 @@ def validate(
         checks.same_device(name, value, image)
         sizes[name] = len(value) if value.ndim == 4 else 1
     checks.batches(sizes)
+    view.require(image.shape[-1])
     require_values(image, color_space)
     if torch.compiler.is_compiling():
         return

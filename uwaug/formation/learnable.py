@@ -36,10 +36,12 @@ class FixedMedium(nn.Module):
         return replace(self.start, **tensors)
 
     def _load_from_state_dict(self, state: dict[str, Any], prefix: str, *args: Any) -> None:
-        for name, buffer in self.named_buffers(recurse=False):
-            stored = state.get(prefix + name, buffer)
-            if stored.ndim > 1 and stored.shape[:-1] == buffer.shape[:-1]:
-                setattr(self, name, buffer.new_empty(stored.shape))  # another number of rates
+        buffers = dict(self.named_buffers(recurse=False))
+        stored = {name: state.get(prefix + name, buffer) for name, buffer in buffers.items()}
+        pairs = list(zip(stored.values(), buffers.values(), strict=True))
+        if all(_but_rates(x) == _but_rates(y) for x, y in pairs):
+            for name, buffer in buffers.items():  # of another number of rates
+                setattr(self, name, buffer.new_empty(stored[name].shape))
         super()._load_from_state_dict(state, prefix, *args)
 
     def get_extra_state(self) -> Tensor:
@@ -54,6 +56,11 @@ class FixedMedium(nn.Module):
         law = Law(get_args(Shape)[shape], get_args(Unit)[unit])
         if law != self.start.law:
             raise ValueError(f"state_dict is of {law}, this module's medium of {self.start.law}")
+
+
+def _but_rates(tensor: Tensor) -> torch.Size:
+    """Shape without the number of rates."""
+    return tensor.shape[:-1] if tensor.ndim > 1 else tensor.shape
 
 
 class LearnableMedium(nn.Module):

@@ -147,12 +147,20 @@ class Underwater(nn.Module):
         if torch.compiler.is_compiling() and not _COMPILES:
             raise RuntimeError("torch.compile of Underwater needs torch 2.13 or newer")
         medium = self.medium
-        validate(image, distance, medium, field, color_space=self.color_space, light=self.light)
+        validate(
+            image,
+            distance,
+            medium,
+            field,
+            color_space=self.color_space,
+            light=self.light,
+            view=self.view,
+        )
         dtype = torch.promote_types(image.dtype, torch.float32)
         with checks.full_precision(image):
             z = effective_distance(distance, field, dtype)
             metres = None
-            if field is not None and self.light is not None:
+            if field is not None and (self.light is not None or medium.snow):
                 metres = effective_distance(distance, None, dtype).expand_as(z)
             if not torch.compiler.is_compiling():
                 self._keep_up(medium)

@@ -230,7 +230,10 @@ def _straight(water: Medium, z: Tensor) -> Tensor:
     direct = _summed(water.beta, white(water.direct_weights), z)
     signal = _summed(water.G, white(water.signal_weights), z)
     if water.is_spectral:
-        direct, signal = direct.sum(1, keepdim=True), signal.sum(1, keepdim=True)
+        # by row, as a stack may hold grey surfaces, too
+        aside = 1 - torch.eye(3, dtype=z.dtype, device=z.device)[:, :, None]
+        mixes = (water.signal_weights * aside).abs().amax((1, 2, 3)).reshape(-1, 1, 1, 1) > 0
+        direct, signal = (torch.where(mixes, x.sum(1, keepdim=True), x) for x in (direct, signal))
     return (direct / signal.clamp(min=_MIN_LIGHT)).clamp(max=1.0)
 
 

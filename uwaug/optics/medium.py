@@ -512,7 +512,8 @@ class Medium:
         direct, forward, backscatter = (self.curves(z) if T is None else T).parts(J, soft)
         terms = {"direct": direct, "forward": forward, "backscatter": backscatter}
         terms |= self.further_terms(z)
-        return {name: term.expand_as(direct) for name, term in terms.items()}
+        wide = torch.broadcast_tensors(*terms.values())  # type: ignore[no-untyped-call]
+        return dict(zip(terms, wide, strict=True))
 
     def further_terms(self, z: Tensor) -> dict[str, Tensor]:
         """Light (B or 1, 3, H, W) that the water adds before a point at distance z (Bx1xHxW), m, by

@@ -46,6 +46,8 @@ class View:
             checks.positive("view: focal_px", self.focal_px, "px")
         if self.center is not None:
             center = checks.pair("view: center", self.center, "(column, row) in px")
+            for place in center:
+                checks.within("view: center", place)
             object.__setattr__(self, "center", center)
 
     @staticmethod
@@ -59,12 +61,15 @@ class View:
     def focal(self, width: Any) -> Any:
         """Focal length, px, in a picture of this width, px."""
         if self.focal_px is not None:
-            if isinstance(width, int) and width > _WIDEST * self.focal_px:
-                cure = f"a lens of f mm before a sensor w mm wide has f/w·{width} px"
-                got = f"view: focal_px must be in px of the picture, got {self.focal_px:g}"
-                raise ValueError(f"{got}: {cure}")
             return self.focal_px
         return width / (2 * math.tan(math.radians(self.degrees / 2)))
+
+    def require(self, width: int) -> None:
+        """Refuse a focal length that is not in px of a picture of this width, px."""
+        if self.focal_px is not None and width > _WIDEST * self.focal_px:
+            cure = f"a lens of f mm before a sensor w mm wide has f/w·{width} px"
+            got = f"view: focal_px must be in px of the picture, got {self.focal_px:g}"
+            raise ValueError(f"{got}: {cure}")
 
     def middle(self, size: Size) -> tuple[float, float]:
         """Column and row, px, of the axis in a picture of (height, width) `size`."""

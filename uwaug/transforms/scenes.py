@@ -127,6 +127,7 @@ def scenes_of(
     """Put an image, whose pictures are Bx3xHxW, into the water of their draws, by the nouns of a
     transform.
     """
+    view.require(pictures.shape[-1])
     fast.load()  # else the first picture of a process would be off by the last bits
     water: RandomWater = nouns["water"]
     source: Source = nouns["distance"]
