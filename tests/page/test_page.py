@@ -177,7 +177,8 @@ def test_controls(shown: Shown) -> None:
     assert "vertical_depth=3" in code
     assert "--water" not in code
     assert "--variants 12" in code
-    assert "contrast=" in shown.tab.url  # it is written when all is at rest
+    # half a second after the last change
+    shown.tab.wait_for_function("location.hash.includes('contrast=')", timeout=10_000)
 
 
 def test_each_water_is_as_in_nature_unless_asked(shown: Shown) -> None:

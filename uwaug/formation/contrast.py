@@ -74,11 +74,10 @@ def contrast_left(
         if not torch.compiler.is_compiling():
             checks.distances(name, value)
     sizes = {"medium": len(medium), "distance": len(distance) if distance.ndim == 4 else 1}
-    if light is not None and isinstance(light.pitch, Tensor):
-        sizes["pitch"] = light.pitch.numel()
-    checks.batches(sizes)
     if light is not None:
         checks.instance("light", light, Light)
+        sizes["pitch"] = light.pitch.numel() if isinstance(light.pitch, Tensor) else 1
+    checks.batches(sizes)
     with checks.full_precision(distance):
         dtype = torch.promote_types(distance.dtype, torch.float32)
         z, *unscaled = (
