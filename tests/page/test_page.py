@@ -178,7 +178,7 @@ def test_controls(shown: Shown) -> None:
     assert "--water" not in code
     assert "--variants 12" in code
     # half a second after the last change
-    shown.tab.wait_for_function("location.hash.includes('contrast=')", timeout=10_000)
+    shown.tab.wait_for_url(re.compile("contrast="), timeout=10_000)
 
 
 def test_each_water_is_as_in_nature_unless_asked(shown: Shown) -> None:
