@@ -44,7 +44,7 @@ def view() -> Scene:
         interpolate(x[None].double(), size, mode="area")[0]
         for x in (srgb_to_linear(scene.image.double()), scene.distance)
     )
-    return Scene(light, distance, scene.view.focal(whole) * WIDTH / whole)
+    return Scene(light, distance, scene.view.resized(WIDTH / whole))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +67,8 @@ class Truth:
         for name in MAIN:
             for colour, value in zip(COLOURS, getattr(self, name), strict=True):
                 found[f"{name}_{colour}"] = float(value)
-        lengths = torch.tensor(self.b_mean * reference)
-        return {
-            **found,
-            "width": float(self.law.sigma(lengths, None)),
-            "exponent": float(self.law.exponent),
-        }
+        width = self.law.scale * (self.b_mean * reference) ** self.law.exponent
+        return {**found, "width": width, "exponent": self.law.exponent}
 
 
 def random_truth(kind: str, rng: np.random.Generator, scene: Scene) -> Truth:
@@ -82,7 +78,7 @@ def random_truth(kind: str, rng: np.random.Generator, scene: Scene) -> Truth:
     beta = np.exp(rng.uniform(np.log(0.08), np.log(0.8), 3))
     G = beta * rng.uniform(0.1, 0.8, 3)
     veil = rng.uniform(0.05, 0.6, 3)
-    known = PointSpread.calibrated().scale * scene.focal_px
+    known = PointSpread.calibrated().scale * scene.view.focal(WIDTH)
     wider = known * float(np.exp(rng.uniform(-0.4, 0.4)))
     exponent, coefficient = float(rng.uniform(0.45, 0.8)), float(rng.uniform(0.3, 0.8))
     paper = min(scene.distance.shape[-2:]) / PAPER_SIDE

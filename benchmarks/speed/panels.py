@@ -86,7 +86,7 @@ def centre(size: int) -> tuple[Tensor, Tensor]:
 def case(size: int, widest: float = WIDEST, water: str = "7C") -> Case:
     image, z = centre(size)
     medium, bands = water_medium(water, widest), water_medium(water, widest, tolerance=0.0)
-    sigma = medium.width(z.double(), (size, size))
+    sigma = medium.width(z.double())
     scattered, _ = blurs.exact(image, sigma)
     direct, signal = bands.transmission(z.double()), bands.signal(z.double())
     exact = direct * image + (signal - direct) * scattered + bands.backscatter(z.double())
