@@ -179,7 +179,7 @@ def speed() -> str:
     paragraphs = [
         "`throughput`: one picture with measured distances and a field, one thread, by the loops: "
         "milliseconds, and how many times as fast as the recipe. Guessed distances (`MadeUp`) add "
-        "14 ms at 512²:",
+        "7 ms at 512²:",
         _single(throughput["single"]),
         "A DataLoader with two workers, pictures/s:",
         _loaders(throughput["loader"]),
