@@ -8,9 +8,8 @@ from uwaug.fitting.result import VISIBLE_LIGHT, Fit, Parameter, Remainder
 THIN_OPTICAL_DEPTH = 0.3  # G·z at the far end, below which a veil is still a straight line
 _SURE_ERRORS = 5.0  # standard errors of independent noise, beyond which a mean residual is real
 _DEPENDENT_EFFECT = 1.5  # design effect, above which neighbouring residuals depend on each other
-_MAX_DIGITS = (
-    12  # of the ends of an interval# of numbers whose name and unit are not enough, by kind
-)
+_MAX_DIGITS = 12  # of the ends of an interval
+# of numbers whose name and unit are not enough, by kind
 _MEANINGS = {
     "veil": "of white, V(0)",
     "source": "of white, G·V(0)",

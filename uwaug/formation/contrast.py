@@ -22,6 +22,7 @@ from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.setting import Setting
 from uwaug.light import Light
+from uwaug.light.snow import snowing
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.optics.view import WIDE, View
@@ -88,7 +89,7 @@ def contrast_left(
         water = medium.to(z)
         setting = Setting(medium, light, view=view)
         T = setting.curves(water, z, *unscaled)
-        T = setting.snowing(T, water, z, *unscaled)
+        T = snowing(T, water, light, z, view, *unscaled)
         # an even surface, which no blur changes
         terms = water.parts(z, object_light, object_light, T)
         detail = _luminance(terms["direct"])

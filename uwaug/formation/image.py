@@ -29,6 +29,7 @@ from uwaug.formation.development import exposed
 from uwaug.formation.inputs import effective_distance, validate
 from uwaug.formation.setting import Setting
 from uwaug.light import Light
+from uwaug.light.snow import snowing
 from uwaug.optics.curves import Curves
 from uwaug.optics.medium import Medium
 from uwaug.optics.view import WIDE, View
@@ -85,7 +86,7 @@ def form(
             plan = _plan(z, medium, setting.light, gain, tolerance)
         soft = blurred_as_seen(J, z, medium, plan, blur)
     # after the gain: the camera is metered without snow, which changes nothing else in a picture
-    T = setting.snowing(T, medium, z, metres, J)
+    T = snowing(T, medium, setting.light, z, setting.view, metres, J)
     largest = headroom(image) if color_space == "srgb" else 1.0
     sensor, noise = development.noise, () if normals is None else (normals,)
     if sensor is not None and not noise:
@@ -161,7 +162,7 @@ def terms_of(
     T = setting.curves(medium, z, metres)
     gain = setting.development.gain(J, z, medium, T)
     soft = blurred_as_seen(J, z, medium, _plan(z, medium, setting.light, gain, tolerance))
-    T = setting.snowing(T, medium, z, metres, J) or medium.curves(z)
+    T = snowing(T, medium, setting.light, z, setting.view, metres, J) or medium.curves(z)
     return T, medium.parts(z, J, soft, T), gain
 
 

@@ -7,7 +7,6 @@ from torch import Tensor
 from uwaug._support.types import ColorSpace
 from uwaug.formation.development import NEUTRAL, Development
 from uwaug.light import Light
-from uwaug.light.snow import snowing
 from uwaug.optics.curves import Curves
 from uwaug.optics.medium import Medium
 from uwaug.optics.view import WIDE, View
@@ -28,14 +27,3 @@ class Setting:
     def curves(self, medium: Medium, z: Tensor, metres: Tensor | None = None) -> Curves | None:
         """Curves at every pixel, see `Light.curves`; None for those of the medium alone."""
         return None if self.light is None else self.light.curves(medium, z, self.view, metres)
-
-    def snowing(
-        self,
-        T: Curves | None,
-        medium: Medium,
-        z: Tensor,
-        metres: Tensor | None = None,
-        J: Tensor | None = None,
-    ) -> Curves | None:
-        """These curves with the medium's particles, see `uwaug.light.snow.snowing`."""
-        return snowing(T, medium, self.light, z, self.view, metres, J)
