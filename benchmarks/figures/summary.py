@@ -178,8 +178,7 @@ def speed() -> str:
     lit = throughput["lamps"]["512"]
     paragraphs = [
         "`throughput`: one picture with measured distances and a field, one thread, by the loops: "
-        "milliseconds, and how many times as fast as the recipe. Guessed distances (`MadeUp`) add "
-        "7 ms at 512²:",
+        "milliseconds, and how many times as fast as the recipe:",
         _single(throughput["single"]),
         "A DataLoader with two workers, pictures/s:",
         _loaders(throughput["loader"]),
