@@ -180,8 +180,6 @@ def degrade(
             maps=maps,
             **run_values,
         )
-        if recipe.transform.water.has_media and (severity or contrast not in (None, "none")):
-            raise ValueError("a medium of coefficients stays as it is, without grades")
         items = find_items(pictures, distances.maps, exclude=[out, labels])
         if formats_left_out := left_out(pictures, distances.maps, exclude=[out, labels]):
             print(f"left out, as such files are not read: {formats_left_out}")
@@ -232,8 +230,7 @@ def _print_summary(summary: "Summary", out: Path, labels: str | None) -> None:
         print(note)
     if blank := summary.blank:
         cure = "are distances in another unit? If not, take clearer water by --contrast"
-        names = f"{len(blank)} of them, such as {blank[0]}"
-        print(f"next to nothing is left to see of {names}: {cure}")
+        print(f"most of the scene is lost in {len(blank)} of them, such as {blank[0]}: {cure}")
     if summary.odd:
         print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}")
     for question in summary.asked:

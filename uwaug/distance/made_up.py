@@ -14,10 +14,10 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from uwaug._support import checks, codec
 from uwaug._support.compiled import kept, wanted
-from uwaug._support.nouns import Drawn, number
+from uwaug._support.nouns import Drawn
 from uwaug._support.ranges import Range
 from uwaug.distance import cue
-from uwaug.distance.sources import Source, require_ends
+from uwaug.distance.sources import Placed, require_ends
 
 # How it was chosen, and what lost: benchmarks/CHOICES.md, "Made-up distances".
 
@@ -35,7 +35,7 @@ _EDGE_VARIANCE = 0.02  # of colours (0…1), below which there is no edge
 
 @codec.plain
 @dataclass(frozen=True)
-class MadeUp(Source):
+class MadeUp(Placed):
     """Distances made up from each picture alone, drawn anew each time: no maps are needed.
 
     A small network in the package guesses what is nearer than what, and where open water is, such
@@ -44,15 +44,13 @@ class MadeUp(Source):
     or measure by.
 
     Attributes:
-        near, far: m; numbers or (low, high), near above 0.
+        near, far: see `Placed`; near above 0.
         cue: "network", with a ramp for one of thirty pictures; or "ramp": what is lower is nearer.
     """
 
     reads_maps = False
     reads_pictures = True
 
-    near: Range = number((0.7, 1.8), 0.0)
-    far: Range = number((2.5, 8.0), 0.0)
     cue: Literal["network", "ramp"] = "network"
 
     def __post_init__(self) -> None:

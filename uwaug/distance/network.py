@@ -103,6 +103,13 @@ class Network(Source):
     def reach(self) -> tuple[float, float] | None:
         return self.holds.reach()
 
+    @property
+    def has_size(self) -> bool:
+        return self.holds.has_size
+
+    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> Drawn:
+        return {**drawn, "holds": self.holds.placed(drawn["holds"], metres_for)}
+
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         guess = self(image / 255 if image.dtype == torch.uint8 else image)
         checks.floating("the network's map", guess)

@@ -1,5 +1,7 @@
 """Sources of distances, for `RandomUnderwater(distance=…)`: the meaning of maps, or no maps."""
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, get_args
 
@@ -27,6 +29,12 @@ Holes = _Policy | float
 depth cameras (see `fill_unknown`); open water; or a number of metres.
 """
 
+NEAR_LEFT, FAR_LEFT = (0.5, 0.95), (0.02, 0.15)
+"""Shares of contrast that a water leaves at the ends of a scene that is placed in it."""
+
+_NEAREST_M = 0.1, 2.5  # between which the near end is placed: one stands where one can see
+_FARTHEST_M = 50.0
+_LEAST_RATIO = 2.0  # of far to near
 _LEAST_NEAR_M = 1e-6  # that relative distance 0 gets with near = 0: a distance of 0 means unknown
 _stand_in_warning = Once()
 
@@ -38,10 +46,19 @@ class Source(Noun):
     reads_pictures: ClassVar[bool] = False  # as sRGB; else their size and type alone count
 
     def reach(self) -> tuple[float, float] | None:
-        """Nearest and farthest distance (m) of all pictures; None where they follow from maps."""
-        if not {"near", "far"} <= self._ends.keys():
-            return None
-        return self._ends["near"][0], self._ends["far"][1]
+        """Nearest and farthest distance (m) of all pictures; None where they follow from maps, or
+        from the water.
+        """
+        return None
+
+    @property
+    def has_size(self) -> bool:
+        """True if scenes are as large as they are, whatever the water."""
+        return True
+
+    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> Drawn:
+        """The draw of a picture in its water, which leaves shares of contrast at so many m."""
+        return drawn
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         """Compute the distances of a picture: metres above 0, or +inf for open water.
@@ -104,20 +121,56 @@ class Metres(Source):
         return _without_holes(z, self.holes)
 
 
+@dataclass(frozen=True)
+class Placed(Source):
+    """Source whose scenes have a shape, but no size of their own: murky water has small scenes, and
+    clear water large ones.
+
+    Attributes:
+        near, far: ends of the scene, m; numbers or (low, high). None: where the water leaves .5 to
+            .95 of the contrast, from .1 to 2.5 m; and .02 to .15.
+    """
+
+    near: Range | None = number(None, 0.0)
+    far: Range | None = number(None, 0.0)
+
+    def ranges(self) -> dict[str, Range | None]:
+        """See `Noun.ranges`; of an end that is None, the share of contrast that is left there."""
+        free = {"near_left": NEAR_LEFT, "far_left": FAR_LEFT}
+        ends = {"near_left": self.near, "far_left": self.far}
+        return {**super().ranges(), **{n: s for n, s in free.items() if ends[n] is None}}
+
+    def reach(self) -> tuple[float, float] | None:
+        return (self._ends["near"][0], self._ends["far"][1]) if self.has_size else None
+
+    @property
+    def has_size(self) -> bool:
+        return self.near is not None and self.far is not None
+
+    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> Drawn:
+        if self.has_size:
+            return drawn
+        near, far = drawn.get("near"), drawn.get("far")
+        if near is None:
+            near = min(max(metres_for(drawn["near_left"]), _NEAREST_M[0]), _NEAREST_M[1])
+            near = near if far is None else min(near, far / _LEAST_RATIO)
+        if far is None:
+            far = max(min(metres_for(drawn["far_left"]), _FARTHEST_M), _LEAST_RATIO * near)
+        return {**drawn, "near": near, "far": far}
+
+
 @codec.plain
 @dataclass(frozen=True)
-class Relative(Source):
+class Relative(Placed):
     """Maps of relative distance, 0 = near, 1 = far: near + (far − near)·t^gamma.
 
     Attributes:
-        near, far: m; numbers or (low, high).
+        near, far: see `Placed`.
         gamma: exponent; a number or (low, high).
         holes: treatment of NaN and of stand-ins such as −1, see `Holes`; "error" only warns of 0,
             which may be near. Let geometric transforms pad with NaN.
     """
 
-    near: Range = number(1.0, 0.0)
-    far: Range = number(5.0, 0.0)
     gamma: Range = number(1.0, 1e-3)
     holes: Holes = "error"
 
@@ -136,18 +189,16 @@ class Relative(Source):
 
 @codec.plain
 @dataclass(frozen=True)
-class Inverse(Source):
+class Inverse(Placed):
     """Maps of inverse depth as monocular networks give it: large = near, of unknown scale and
     shift. Every map is stretched to reach from near to far, even that of a flat scene.
 
     Attributes:
-        near, far: m; numbers or (low, high), near above 0.
+        near, far: see `Placed`; near above 0.
         holes: treatment of NaN, infinite values, and stand-ins, see `Holes`; "error" only warns of
             0, which may be the sky.
     """
 
-    near: Range = number(1.0, 0.0)
-    far: Range = number(5.0, 0.0)
     holes: Holes = "error"
 
     def __post_init__(self) -> None:
@@ -194,10 +245,10 @@ def _require_holes(holes: object) -> None:
         checks.one_of("holes", holes, (*get_args(_Policy), "a number of metres"))
 
 
-def require_ends(near: Range, far: Range) -> float:
-    """Refuse ranges of near and far that meet; return the least near."""
-    least, largest = as_range("near", near, 0.0, unit="m")
-    if not largest < as_range("far", far, 0.0, unit="m")[0]:
+def require_ends(near: Range | None, far: Range | None) -> float:
+    """Refuse ranges of near and far that meet; return the least near, of None endless."""
+    least, largest = (math.inf, 0.0) if near is None else as_range("near", near, 0.0, unit="m")
+    if far is not None and not largest < as_range("far", far, 0.0, unit="m")[0]:
         raise ValueError(f"near must lie below far, got near = {near} and far = {far} in metres")
     return least
 

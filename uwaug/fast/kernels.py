@@ -498,12 +498,11 @@ def meter(
     points: Any,
     water: WaterTable,
     rays: RaysTable,
-    luminance: Doubles,
     brightness: Floats,
 ) -> Doubles:
     """Mean light (3x3) at some pixels of a picture of light (3xN), z and metres (N): of the scene,
     of what arrives without the blur, and of what is positive of that. The indices `points` (M) have
-    no sign, which numba would test. `brightness` (M) is filled with the luminance of what arrives.
+    no sign, which numba would test. `brightness` (M) is filled with the brightest channel.
     """
     count, means, sums = points.size, np.zeros((3, 3)), np.zeros((9, LANES))
     totals = rows_before(water)
@@ -527,7 +526,7 @@ def meter(
         red, green, blue = tile_row(t, totals), tile_row(t, totals + 1), tile_row(t, totals + 2)
         bright = brightness[first : first + n]
         for x in range(n):
-            bright[x] = luminance[0] * red[x] + luminance[1] * green[x] + luminance[2] * blue[x]
+            bright[x] = max(red[x], green[x], blue[x])
         for c in range(3):
             add_lanes(sums[3 + c], tile_row(t, totals + c), False, n)
             add_lanes(sums[6 + c], tile_row(t, totals + c), True, n)

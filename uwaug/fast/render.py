@@ -1,6 +1,5 @@
 """Image formation by the compiled loops, from the stored picture to the stored picture."""
 
-import math
 import os
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -34,7 +33,7 @@ from uwaug.fast.tables import (
     rays_tables,
     terms_table,
 )
-from uwaug.formation.colour import LUMINANCE, headroom
+from uwaug.formation.colour import headroom
 from uwaug.formation.demand import blurred_between, demand_of
 from uwaug.formation.development import (
     BURNT,
@@ -54,7 +53,6 @@ from uwaug.optics.view import Size
 from uwaug.optics.weights import Weights
 
 _NO_FLOATS, _NO_BYTES = np.zeros((3, 1, 0), np.float32), np.zeros((3, 1, 0), np.uint8)
-_LUMINANCE = np.array(LUMINANCE)
 _BAND = 1 << 20  # pixels whose coarse grids are held at a time: up to 24 MiB
 
 
@@ -95,7 +93,7 @@ def form(
     if batch > 1:
         columns = [_each(column, batch) for column in columns]
     scenes = [_Scene(*row) for row in zip(*columns, strict=True)]
-    gains = _gains(scenes, development, has_light=light is not None)
+    gains = _gains(scenes, development)
     ends = blurred_between(z, brightest)
     if plan is None:
         law = IN_PIXELS[medium.law.shape]
@@ -182,7 +180,7 @@ def _snow(setting: Setting, z: Tensor, metres: Tensor, batch: int) -> list[Float
     return layers
 
 
-def _gains(scenes: Sequence[_Scene], development: Development, *, has_light: bool) -> Array:
+def _gains(scenes: Sequence[_Scene], development: Development) -> Array:
     """Gains (B or 1, 3, 3), as of `Development.gain`."""
     factors, balance = np.ones(3), 0.0
     if isinstance(development.white_balance, tuple):
@@ -199,23 +197,12 @@ def _gains(scenes: Sequence[_Scene], development: Development, *, has_light: boo
         points = _points(height, width)
         brightness = np.empty(len(points), np.float32)
         maps = scene.light.reshape(3, -1), scene.z.reshape(-1), scene.metres.reshape(-1)
-        inputs: Any = (*maps, width, points, scene.water, scene.rays, _LUMINANCE, brightness)
+        inputs: Any = (*maps, width, points, scene.water, scene.rays, brightness)
         means = kernels.meter(*inputs)
-        if has_light:
-            burnt = round(BURNT * METERED)
-            highlight = float(np.partition(brightness, -burnt)[-burnt])
-        else:
-            highlight = _farthest_veil(scene)
+        burnt = round(BURNT * METERED)
+        highlight = float(np.partition(brightness, -burnt)[-burnt])
         matrices.append(gain_at(means, highlight, *camera, saturation))
     return np.stack(matrices)
-
-
-def _farthest_veil(scene: _Scene) -> float:
-    """Light that the water adds before the farthest pixel, in the brightest channel."""
-    medium, further = scene.water.medium, scene.water.further.rows
-    rates = medium.rates[-medium.veil.shape[1] :].astype(np.float64) * math.log(2)
-    veil = medium.veil @ np.expm1(rates * float(scene.z.max()))
-    return float((veil + further[:, -1:].sum(1)).max())
 
 
 @lru_cache(maxsize=8)

@@ -23,7 +23,6 @@ from uwaug.files.pool import on_processes
 from uwaug.files.record import digest, reason_of, record_of, record_path, write_record
 from uwaug.files.sheet import drawn_sheet
 from uwaug.files.summary import Result, Summary
-from uwaug.transforms.random_water import Reached
 
 Progress = Callable[[int, int], None]  # of the numbers of finished and of all pictures
 
@@ -135,9 +134,9 @@ def _source(path: Path) -> dict[str, Any]:
 
 def _of_record(job: Job, status: Any, record: dict[str, Any]) -> Result:
     objects = [Judged(**entry) for entry in record.get("objects", [])]
-    reached = Reached(**record["reached"]) if record.get("reached") else None
-    contrast, questions = record.get("contrast"), record.get("asked", ())
-    return Result(job.item, job.variant, job.place, status, contrast, objects, reached, questions)
+    shares = record.get("contrast"), record.get("lost")
+    words = record.get("odd", ""), record.get("asked", ())
+    return Result(job.item, job.variant, job.place, status, *shares, objects, *words)
 
 
 def run(

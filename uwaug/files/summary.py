@@ -8,8 +8,6 @@ from typing import Literal, NamedTuple
 
 from uwaug.files.items import Item
 from uwaug.files.labels import Judged
-from uwaug.formation.contrast import FAINT
-from uwaug.transforms.random_water import Reached
 
 _COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
 
@@ -31,8 +29,9 @@ class Result(NamedTuple):
     place: str  # path of the written file below the folder of the run
     status: Literal["written", "skipped", "failed"]  # skipped, as the same was made before
     contrast: float | None = None  # mean share that is left, 0…1; None if it failed, and for maps
+    lost: float | None = None  # share of the pixels with less than 3 % of it, likewise
     objects: Sequence[Judged] = ()  # that have labels
-    reached: Reached | None = None  # changes that reached the wanted contrast
+    odd: str = ""  # a sentence on a water that is hardly the one that was named
     asked: Sequence[str] = ()  # keys of `ASKED` that apply
     reason: str = ""  # of a failure
 
@@ -59,17 +58,14 @@ class Summary:
 
     @property
     def blank(self) -> list[str]:
-        """Names of pictures with less than 3 % of the contrast left."""
-        shares = [(result.item.name, result.contrast) for result in self.results]
-        return [name for name, share in shares if share is not None and share < FAINT]
+        """Names of pictures of which more than half is lost."""
+        shares = [(result.item.name, result.lost) for result in self.results]
+        return [name for name, share in shares if share is not None and share > 0.5]
 
     @property
     def odd(self) -> list[str]:
-        """Sentences on pictures that reach the wanted contrast in an odd way, or do not reach it,
-        each after a name.
-        """
-        pairs = [(result.item.name, result.reached) for result in self.results]
-        return [f"{name}: {reached.odd}" for name, reached in pairs if reached and reached.odd]
+        """Sentences on waters that are hardly those that were named, each after a picture."""
+        return [f"{result.item.name}: {result.odd}" for result in self.results if result.odd]
 
     @property
     def asked(self) -> list[str]:

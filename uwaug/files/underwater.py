@@ -25,6 +25,7 @@ from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record, record_of, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, run, versions
 from uwaug.files.summary import Summary
+from uwaug.formation.contrast import FAINT
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.truth import MAPS, Truth
 
@@ -207,7 +208,7 @@ class _Underwater(Work):
         step = max(1, min(image.shape[1:]) // _CONTRAST_ROWS) if labels is None else 1
         scenes = transform.scenes(image, z, params)
         degraded, contrast = scenes.formed(), scenes.contrast_map(step)
-        reached = scenes.reached(0)
+        clarity = scenes.clarity(0)
         truth = None if self.recipe.maps is None else scenes.truth()
         objects = []
         if labels is not None:
@@ -215,7 +216,9 @@ class _Underwater(Work):
         return (degraded, truth), {
             "params": params,
             "contrast": round(float(contrast.double().mean()), 4),
-            "reached": reached and reached._asdict(),
+            "lost": round(float((contrast < FAINT).double().mean()), 4),
+            "clarity": clarity and clarity.record(),
+            "odd": clarity.odd if clarity else "",
             "truth": truth and truth.record(),
             "objects": [label._asdict() for label in objects],
             "asked": _questions(item, transform, picture, z, labels),
@@ -243,8 +246,7 @@ class _Underwater(Work):
         (sample,) = record["params"]["samples"]
         if not sample["applied"]:
             return "left alone"
-        reached = record["reached"]
-        distance = f"{reached['metres']:.2g} m, " if reached else ""
+        distance = f"{record['clarity']['metres']:.2g} m, "
         water = " + ".join(_short_name(water) for water in sample["water"]["waters"])
         return f"{distance}contrast {record['contrast']:.2f}\n{water}"
 

@@ -14,6 +14,8 @@ without veil, patterns of a period of 1° keep up to .019 more with Henyey and G
 function (mean cosine .924), and patterns of .5° up to .10 more with Petzold's.
 """
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -26,8 +28,10 @@ from uwaug.light.snow import snowing
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.optics.view import WIDE, View
+from uwaug.optics.water import Water
 
 FAINT = 0.03  # share of contrast below which next to nothing can be seen
+_TRIED_M, _LEAST = np.geomspace(1e-3, FARTHEST, 500), 1e-30
 
 
 def contrast_left(
@@ -99,6 +103,18 @@ def contrast_left(
         share = torch.where(dark, 0.0, detail / torch.where(dark, 1.0, arriving))
         share = share.to(distance.dtype)
     return share[0] if distance.ndim == 3 and len(share) == 1 else share
+
+
+def metres_for(water: Water | Medium, contrast: float) -> float:
+    """Distance [m] at which an object keeps this share of its luminance contrast by daylight, see
+    `Water.metres_for`; of the first of several media.
+    """
+    if isinstance(water, Water):
+        return water.metres_for(contrast)
+    weights = water.weights().row(0)
+    of_grey = LUMINANCE @ weights.direct.reshape(3, 3, -1).sum(1)
+    left = np.exp(-_TRIED_M[:, None] * weights.beta[0]) @ of_grey / of_grey.sum()
+    return float(np.interp(-math.log(contrast), -np.log(left.clip(min=_LEAST)), _TRIED_M))
 
 
 def _checked_light(reflectance: float | Tensor, z: Tensor) -> Tensor:

@@ -45,7 +45,7 @@ TOE = 1e-4  # light below which tone is straight: less contrast is infinitely st
 # stripes and rows of any period in pictures of any size, and the mean luminance of noise is right
 # within 1 %. (A grid of every fourth pixel is off by 10 % at 16 px.)
 METERED = 8192
-BURNT = 0.05  # share of the metered pixels that may burn out under lamps, before the stops
+BURNT = 0.05  # share of the metered pixels that may burn out
 _BITS = 20
 TURN = 1 << _BITS  # a whole side, in the unit of `STEPS`
 # Steps between metered pixels along rows and columns: 1/x and 1/x² with x³ = x + 1 (Roberts 2018,
@@ -78,8 +78,8 @@ class Development:
             k = .82·p/(.18 − p); black, mid-grey and white stay, and its slope at mid-grey is
             c·k/(p + k). Light above white goes on along the slope there.
         metered: True for a gain of each picture, 1/8…64, below the exposure's stops. It keeps the
-            mean luminance of the scene, and the farthest veil at or below white; under a `Light`
-            all but the brightest 5 % of the pixels. None: only if exposure is "auto".
+            mean luminance of the scene; with stops above 0 the brightest channel of all but 5 % of
+            the pixels stays at or below white. None: only if exposure is "auto".
         noise: the sensor, see `uwaug.Sensor`; None for light without noise.
 
     Numbers may be tensors (B), as those of `stack`.
@@ -151,7 +151,7 @@ class Development:
         means, share = metered(J, z, medium, T), self.white_balance
         exposure = self.exposure
         if self.metered:
-            exposure = float(exposure) + math.log2(float(_automatic(means)))
+            exposure = math.log2(float(_automatic(means, float(exposure))))
         if not isinstance(share, tuple):
             red, green, blue = _balance(means.positive, max(float(share), 0.0))[0].tolist()
             share = (red, green, blue)
@@ -160,9 +160,11 @@ class Development:
     def gain_of(self, means: "Means | None", like: Tensor) -> Tensor:
         """The `gain` for what `metered` has measured, of the type of `like`."""
         saturation = _of_rows(self.saturation, 3)
-        gain = like.new_ones(1, 1) * 2.0 ** _of_rows(self.exposure, 2)
+        stops = _of_rows(self.exposure, 2)
         if means is not None and self.metered:
-            gain = gain * _automatic(means)
+            gain = _automatic(means, stops)
+        else:
+            gain = like.new_ones(1, 1) * 2.0**stops
         if isinstance(self.white_balance, tuple):
             gain = gain * like.new_tensor(self.white_balance)
         elif means is not None and _balances(self.white_balance):
@@ -207,9 +209,7 @@ class Means(NamedTuple):
     scene: Tensor  # Bx3: mean light of the scene
     arriving: Tensor  # Bx3: mean light that arrives
     positive: Tensor  # Bx3: the same without negative channels, of colours outside sRGB
-    # Bx1: light that stays at or below white: the veil of the farthest pixel; with a `Light`, by
-    # which parts of a picture are far brighter, the luminance that `BURNT` of the pixels exceed
-    highlight: Tensor
+    highlight: Tensor  # Bx1: what the brightest channel of `BURNT` of the pixels exceeds
 
 
 def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Means:
@@ -220,29 +220,21 @@ def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Me
         T = Curves(*(_at(curve, points) for curve in T))
     arriving = medium.image(_at(z, points), light, light, T)
     scene, means, positive = (x.mean((-2, -1)) for x in (light, arriving, arriving.clamp(min=0.0)))
-    if T is None:
-        highlight = farthest_veil(z, medium)
-    else:
-        luminance = _luminance(arriving.flatten(2).mT)[..., 0]
-        highlight = luminance.topk(round(BURNT * METERED)).values[:, -1:]
+    brightest = arriving.flatten(2).amax(1)
+    highlight = brightest.topk(round(BURNT * METERED)).values[:, -1:]
     return Means(scene, means, positive, highlight)
 
 
-def farthest_veil(z: Tensor, medium: Medium) -> Tensor:
-    """Light that the water adds before the farthest pixel, in the brightest channel (B, 1)."""
-    farthest = z.amax((-3, -2, -1), keepdim=True)
-    veil = medium.curves(farthest).veil
-    for term in medium.further_terms(farthest).values():
-        veil = veil + term
-    return veil.flatten(1).amax(1, keepdim=True)
-
-
-def _automatic(means: Means) -> Tensor:
-    """Gain (B, 1) that gives pictures the mean luminance of their scenes; 1 without any light."""
+def _automatic(means: Means, stops: Any) -> Tensor:
+    """Gain (B, 1) that gives pictures the mean luminance of their scenes, so many stops brighter;
+    1 without any light.
+    """
     before, after = _luminance(means.scene), _luminance(means.arriving)
     dark = after <= DARKEST
     gain = torch.where(dark, 1.0, before / torch.where(dark, 1.0, after))
-    return gain.clamp(*GAINS).minimum(1 / means.highlight.clamp(min=1 / GAINS[1]))
+    brightened: Tensor = gain.clamp(*GAINS) * 2.0**stops
+    least = stops.clamp(max=0.0) if isinstance(stops, Tensor) else min(stops, 0.0)
+    return brightened.minimum(2.0**least / means.highlight.clamp(min=1 / GAINS[1]))
 
 
 def _balance(means: Tensor, share: float | Tensor) -> Tensor:
@@ -271,12 +263,13 @@ def gain_at(
     `Means` (3x3), and of the `factors` (3) of a white balance that was set.
     """
     luminance = np.array(LUMINANCE)
-    gains = factors * 2.0**stops
+    gain = 2.0**stops
     if metered:
         before, after = (means[0] * luminance).sum(), (means[1] * luminance).sum()
         automatic = before / after if after > DARKEST else 1.0
-        automatic = min(max(automatic, GAINS[0]), GAINS[1])
-        gains *= min(automatic, 1 / max(highlight, 1 / GAINS[1]))
+        gain *= min(max(automatic, GAINS[0]), GAINS[1])
+        gain = min(gain, 2.0 ** min(stops, 0.0) / max(highlight, 1 / GAINS[1]))
+    gains = factors * gain
     before = (means[2] * luminance).sum()
     if white_balance > 0 and before > DARKEST:
         balance = (before / np.maximum(means[2], before / MOST)) ** white_balance

@@ -10,7 +10,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.demand import blur_demand
-from uwaug.formation.development import Development, Means, farthest_veil
+from uwaug.formation.development import Development, Means
 from uwaug.formation.image import form
 from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
@@ -99,11 +99,10 @@ def _lit_grey(setting: Setting, width: int) -> Medium:
 def _of_grey(medium: Medium, settings: Sequence[Setting]) -> Medium:
     """Media as a camera brightens them where the scene is grey and all at its median distance."""
     rows = torch.tensor([setting.span for setting in settings], dtype=torch.float64)
-    z, farthest = rows.T[1:, :, None, None, None].clamp(max=FARTHEST)
+    z = rows[:, 1, None, None, None].clamp(max=FARTHEST)
     grey = z.new_full((len(z), 3, 1, 1), _GREY)
     arriving = medium.image(z, grey, grey).flatten(1)
-    means = Means(
-        grey.flatten(1), arriving, arriving.clamp(min=0.0), farthest_veil(farthest, medium)
-    )
+    brightest = arriving.amax(1, keepdim=True)
+    means = Means(grey.flatten(1), arriving, arriving.clamp(min=0.0), brightest)
     development = Development.stack([setting.development for setting in settings], z)
     return medium.brightened(development.gain_of(means, z))

@@ -323,6 +323,12 @@ class Medium:
         snow.require_fixed("snow")
         return replace(self, snow=(snow,) * len(self))
 
+    def with_contents(self, factor: float) -> "Medium":
+        """The same media with `factor` times their loss and scattering in every metre."""
+        checks.within("factor", factor, 0.0)
+        rates = ("beta", "G", "b_mean", "lamp_beta", "lamp_G", "lamp_veil_weights")
+        return replace(self, **{name: factor * getattr(self, name) for name in rates})
+
     def __len__(self) -> int:
         return len(self.beta)
 

@@ -224,11 +224,9 @@ export function sceneOf(pixels, distance, width, height, { plan, meter }, tell =
 
 /** Settings → {table, and what came of them}; distances of the scene are multiplied by `times`. */
 export function waterTable(scene, settings, tables) {
-  let water = waterOf(settings, tables), contents = 1, scale = 1;
-  const metres = scene.median * settings.times, { nearest, farthest } = tables.sizes;
+  let water = waterOf(settings, tables), contents = 1;
   if (settings.contrast !== null) {
-    if (metres < Infinity) scale = Math.min(Math.max(metres, nearest), farthest) / metres;
-    contents = contentsFor(water, settings.contrast, metres * scale, tables);
+    contents = contentsFor(water, settings.contrast, scene.median * settings.times, tables);
     if (contents === Infinity) throw new RangeError("There is nothing in this water that could be scaled.");
     water = withContents(water, contents, tables);
   }
@@ -239,13 +237,13 @@ export function waterTable(scene, settings, tables) {
   const width = perPixel * settings.blur * scene.width;
   for (let entry = 0; entry <= ENTRIES; entry++) {
     const z = entry < ENTRIES ? scene.near * Math.exp(entry * scene.step) : Infinity;
-    const effective = Math.min(z * settings.times * scale, tables.farthest);
+    const effective = Math.min(z * settings.times, tables.farthest);
     weightsOf(width * Math.min(Math.max(medium.bMean * effective, least), most) ** exponent, plan, row, 0);
     curvesAt(effective, medium, row, scene.K);
     table.set(row, entry * size);
   }
   const veil = Math.max(...table.slice(-size - 3, -size));
-  return { table, rise: riseOf(scene, settings.pitch, tables), contents, depth, scale, veil, visibility: visibility(water, tables) };
+  return { table, rise: riseOf(scene, settings.pitch, tables), contents, depth, veil, visibility: visibility(water, tables) };
 }
 
 /** Light of grey detail, of its surface, and of the level veil at a place of the table. */
@@ -284,20 +282,21 @@ export function gainOf(scene, { table, rise }, { exposure, white_balance, satura
   for (const p of points) {
     const entry = Math.floor(place[p]), t = place[p] - entry, at = entry * size + K;
     const J = [0, 1, 2].map(c => light[pixels[4 * p + c]]);
-    let Yp = 0;
+    let brightest = -Infinity;
     for (let c = 0; c < 3; c++) {
       const curve = j => table[at + j] + t * (table[at + size + j] - table[at + j]);
       let arriving = curve(18 + c) * rise[p];
       for (let j = 0; j < 3; j++) arriving += (curve(3 * c + j) + curve(9 + 3 * c + j)) * J[j];
-      Yp += luminance[c] * arriving;
+      brightest = Math.max(brightest, arriving);
       before[c] += J[c] / meter.count;
       after[c] += arriving / meter.count;
       positive[c] += Math.max(arriving, 0) / meter.count;
     }
-    brightness.push(Yp);
+    brightness.push(brightest);
   }
   const highlight = brightness.sort((a, b) => b - a)[Math.round(meter.burnt * meter.count) - 1], [least, most] = meter.gains;
-  const metered = Y(after) > 0 ? Math.min(Math.max(Y(before) / Y(after), least), most, 1 / Math.max(highlight, 1 / most)) : 1;
+  const automatic = Y(after) > 0 ? Math.min(Math.max(Y(before) / Y(after), least), most) : 1;
+  const metered = Math.min(2 ** exposure * automatic, 2 ** Math.min(exposure, 0) / Math.max(highlight, 1 / most));
   const share = Math.max(white_balance, 0), mean = Y(positive);
   let balance = [1, 1, 1];
   if (share > 0 && mean > 0) {
@@ -306,7 +305,7 @@ export function gainOf(scene, { table, rise }, { exposure, white_balance, satura
     balance = balance.map(x => x * kept);
   }
   return [0, 1, 2].map(c => balance.map((factor, j) =>
-    2 ** exposure * metered * factor * ((1 - saturation) * luminance[j] + (c === j ? saturation : 0))));
+    metered * factor * ((1 - saturation) * luminance[j] + (c === j ? saturation : 0))));
 }
 
 let bytes, toneOfBytes;

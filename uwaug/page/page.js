@@ -80,12 +80,11 @@ async function picture({ step, begun }) {
   if (!made.pixels) return say("");
   paint($("after"), made);
   shown = { ...made, ms: performance.now() - begun, step };
-  const { contents, scale, depth, veil, visibility } = made;
+  const { contents, depth, veil, visibility } = made;
   const said = [`${visibility.toPrecision(2)} m of visibility`];
   if (contents > 0 && contents !== 1) said.push(`${contents.toPrecision(2)} times as much in the water as in nature`);
   if (contents > tables.much) said.push("so much that it is hardly this water any more");
   if (contents === 0) said[0] = "pure water: it leaves no more contrast at these distances";
-  if (scale !== 1) said.push(`distances × ${scale.toPrecision(2)}: water shows its colour from 1 to 8 m`);
   if (depth < state.vertical_depth) said.push(`shown ${depth.toFixed(1)} m deep: below, no exposure makes up for the light`);
   if (veil > 1.05) said.push(`the veil far away is ${veil.toPrecision(2)} times as bright as white`);
   say([...said, ...note].filter(Boolean).join("; ") + ` (${shown.ms.toFixed(0)} ms)`);
@@ -410,7 +409,6 @@ function optionsOf(files, everything) {
   const mixture = other && share ? `${rounded(1 - share)}*${water}+${share}*${other}` : water;
   if (held("water")) ofWater.waters = [water === "contents" ? contents : mixture];
   if (held("contrast") || nature) ofWater.contrast = nature ? null : state.contrast;
-  if (held("water") && !nature) ofWater.contrast_by = "contents";
   if (held("vertical_depth")) ofWater.vertical_depth = state.vertical_depth;
   if (everything) ofWater.field = null;
   if (held("pitch")) options.light = { pitch: state.pitch, ...everything && { share: 0 } };

@@ -22,7 +22,7 @@ from uwaug.optics.point_spread import LENGTHS, PointSpread
 from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.surfaces import reflectances
 from uwaug.optics.view import WIDE
-from uwaug.optics.water import LEAST_LOSS, Water, eye
+from uwaug.optics.water import CONTRAST_THRESHOLD, LEAST_LOSS, Water, eye
 from uwaug.transforms import random_water
 from uwaug.transforms.appearance import WATER_FEATURES
 from uwaug.transforms.measured import SAMPLED
@@ -87,7 +87,6 @@ def tables() -> dict[str, Any]:
         "dimmest": random_water.DIMMEST,
         "much": random_water.MOST_CONTENTS,
         "direction": {"view": WIDE.degrees, "rise": direction.RISE, "most": direction.MAX_RISE},
-        "sizes": {"nearest": random_water.MEDIANS[0], "farthest": random_water.MEDIANS[1]},
         "meter": {
             "count": development.METERED,
             "looks": SAMPLED,
@@ -161,7 +160,8 @@ def _draws() -> dict[str, Any]:
         "severities": list(SEVERITIES.values()),
         "g": water.g,
         "ranges": {
-            "contrast": water.contrast,
+            # left at the median distance, where contrast falls exponentially to the visibility
+            "contrast": [CONTRAST_THRESHOLD ** (1 / count) for count in random_water.VISIBLE],
             "vertical_depth": water.vertical_depth,
             "mu": water.mu,
             "color_matrix": water.color_matrix,

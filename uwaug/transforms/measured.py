@@ -22,7 +22,6 @@ class Measured(NamedTuple):
         darkest, brightest: ends of the values, of 0…1.
         nearest, farthest, median: distances, m; the last two of all but open water, else infinite.
         metered: True if an exposure makes up for the light that is lost above the scene.
-        lamps: True if lamps stand at places in metres: then no scene may be scaled.
         exposure: stops that a meter has settled for all frames of a film; None: to be metered.
         white_balance: factors of red, green and blue, likewise.
         moved: m by which the water of a film has moved to the right, down and away.
@@ -35,7 +34,6 @@ class Measured(NamedTuple):
     farthest: float
     median: float
     metered: bool = False
-    lamps: bool = False
     exposure: float | None = None
     white_balance: tuple[float, float, float] | None = None
     moved: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -46,19 +44,8 @@ class Measured(NamedTuple):
         attributes = {**settled, "white_balance": balance and tuple(balance)}
         return self._replace(**attributes, moved=moved)
 
-    def scaled(self, scale: float) -> "Measured":
-        """The same scene, so many times as large."""
-        if scale == 1:
-            return self
-        lengths = ("nearest", "farthest", "median")
-        right, down, away = self.moved
-        return self._replace(
-            **{name: getattr(self, name) * scale for name in lengths},
-            moved=(right * scale, down * scale, away * scale),
-        )
 
-
-def measure(pictures: Tensor, metres: Tensor, *, metered: bool, lamps: bool) -> list[Measured]:
+def measure(pictures: Tensor, metres: Tensor, *, metered: bool) -> list[Measured]:
     """Measure pictures (Bx3xHxW) and their distances (Bx1xHxW, m): all that the host waits for
     where they are on a device.
     """
@@ -73,7 +60,7 @@ def measure(pictures: Tensor, metres: Tensor, *, metered: bool, lamps: bool) -> 
         if math.isinf(median):  # all is open water, or all of the points
             median = _median(distances[i].cpu().numpy())
         ends = darkest / white, brightest / white, nearest, farthest
-        measurements.append(Measured(width, *ends, median, metered, lamps))
+        measurements.append(Measured(width, *ends, median, metered))
     return measurements
 
 

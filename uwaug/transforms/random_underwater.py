@@ -140,7 +140,7 @@ class RandomUnderwater(SampleTransform):
     @classmethod
     def severity(cls, level: int, water: Any = None, **options: Any) -> "RandomUnderwater":
         """One of five grades, for robustness studies: the default at a fixed contrast. From one
-        key a picture has the same light, camera and kind of water at each grade.
+        key a picture has the same scene, light, camera and kind of water at each grade.
 
         Args:
             level: 1 (mild) … 5 (severe); .65, .5, .35, .2 and .08 of the contrast are left at the
@@ -148,14 +148,12 @@ class RandomUnderwater(SampleTransform):
             water, options: as for the class.
 
         Raises:
-            ValueError: if there is no such level, or the water is a `Medium`.
+            ValueError: if there is no such level.
         """
         if level not in SEVERITIES:
             raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
         noun = water if isinstance(water, RandomWater) else RandomWater(water)
-        if noun.has_media:
-            raise ValueError("water: a Medium stays as it is, so that it has no grades")
-        return cls(replace(noun, contrast=SEVERITIES[level]), **options)
+        return cls(replace(noun, visibility=None, contrast=SEVERITIES[level]), **options)
 
     def module(
         self,
@@ -180,20 +178,19 @@ class RandomUnderwater(SampleTransform):
             got = ", ".join(dict.fromkeys(names))
             raise ValueError(f"a module makes the same of all pictures, but {got} differ: fix them")
         nearest, farthest = self.distance.reach() or (0.1, 20.0)
-        light = self._nouns["light"]
-        lamps = isinstance(light, Fixed) and bool(light.value and light.value.lamps)
-        metered = self.development.metered
-        measured = Measured(1, 0.0, 1.0, nearest, farthest, farthest, metered, lamps)
+        measured = Measured(1, 0.0, 1.0, nearest, farthest, farthest, self.development.metered)
         thin, dense = self.water.field or (1.0, 1.0)
         low, high = nearest * thin, farthest * dense
         draw = Draw(**self._sample(uniform_of(0)))
+        light = self._nouns["light"].of(draw.light, measured)
+        water, _ = self.water.water(draw.water, farthest)
         return Underwater(
-            self.water.of(draw.water, measured, lamps=lamps).medium,
+            self.water.of(water, draw.water, measured, light, self.view).medium,
             distance_range or (low, max(high, 1.01 * low)),  # of a plane, too
             color_space=self.development.color_space,
             sides=sides,
             development=self.development.of(draw.development, measured),
-            light=light.of(draw.light, measured),
+            light=light,
             view=self.view,
         )
 

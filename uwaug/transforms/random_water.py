@@ -2,12 +2,13 @@
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from dataclasses import field as derived
-from functools import cached_property
-from typing import Any, ClassVar, Literal, NamedTuple, get_args
+from functools import cached_property, partial
+from typing import Any, ClassVar, NamedTuple
 
+import torch
 from torch import Tensor
 
 from uwaug._support import checks, codec
@@ -15,7 +16,9 @@ from uwaug._support.checks import DOMAIN
 from uwaug._support.nouns import SEEDS, Drawn, Noun, Uniform, number, require_names, require_seed
 from uwaug._support.once import Once
 from uwaug._support.ranges import Range, as_range
+from uwaug.formation.contrast import contrast_left, metres_for
 from uwaug.formation.field import random_fields
+from uwaug.light import Light
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.constituents import Constituents
 from uwaug.optics.medium import Medium
@@ -23,14 +26,11 @@ from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.reduction import default_bands
 from uwaug.optics.snow import MarineSnow
 from uwaug.optics.view import View
-from uwaug.optics.water import Water, load_water
+from uwaug.optics.water import CONTRAST_THRESHOLD, Water, load_water
 from uwaug.transforms.draws import Draw
 from uwaug.transforms.measured import Measured
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
-
-Knob = Literal["contents", "distance"]
-"""Means by which a scene is brought to its contrast: contents of the water, or the distance."""
 
 CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.35), minerals=(0.25, 4.0))
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
@@ -47,88 +47,84 @@ turbid waters have one colour, which a camera's matrix makes neon.
 
 _CURVES = 0.002  # tolerance of a medium's curves, in the light that a metered exposure makes of it
 
-MEDIANS = (1.0, 8.0)
-"""m: ends of the median distances at which water can be brought to a contrast by its contents and
-have a colour of its own. (Beyond: benchmarks/CHOICES.md, default draws.)
+VISIBLE = (1.5, 12.0)
+"""Median distances of a scene that one sees in the default waters: photographers stand where they
+can see. (How it was chosen: benchmarks/CHOICES.md, default draws.)
 """
 
-SCALED_MEDIANS = (0.1, 100.0)
-"""m: ends of the median distances to which a scene is scaled for the contrast of a water as it is.
-Nearer, the lens would touch it; no water lets one see farther.
-"""
+PLACED_M = 2.0
+"""m: stands for the median distance of a scene without a size, which is placed in its water."""
 
-# warned of from these factors on; of the contents, the clearest of `WATERS` need 42 for the
+# times what is in a water, from which on is warned: the clearest of `WATERS` need 42 for the
 # severest grade at 1 m
-MOST_SCALED, MOST_CONTENTS, MOST_MISSED = 4.0, 50.0, 2.0
+MOST_CONTENTS = 50.0
+_MOST_STOPS, _HALVINGS = 12.0, 16  # of contents that are looked for under lamps
+_WALL_PX = (12, 16)  # of a wall at the median distance, under lamps
 
 _CALIBRATED = PointSpread.calibrated()
 
 odd_scene = Once()
-"""The warning that distances are hardly metres, or the water hardly the one that was named."""
+"""The warning that the water is hardly the one that was named, or as deep as was asked for."""
 
 
-class Reached(NamedTuple):
-    """The contrast to which a scene was brought, and what it took."""
+class Clarity(NamedTuple):
+    """The clarity of the water of a picture."""
 
-    water: str
-    metres: float  # median distance, scaled
-    scale: float  # factor of all distances
-    contents: float  # factor of what is in the water besides pure water
-    contrast: float  # left at the median distance
-    asked: float  # the contrast that was asked for
-    by: Knob
+    water: Water | Medium
+    contents: float  # factor of what is in it, besides pure water; of a medium, of its rates
+    metres: float  # median distance
+    asked: float | None  # contrast that was asked for at this distance
+
+    def record(self) -> dict[str, Any]:
+        """All of it as JSON holds it, with the visibility, m."""
+        visibility = metres_for(self.water, CONTRAST_THRESHOLD)
+        return {**self._asdict(), "water": self.name, "visibility": visibility}
+
+    @property
+    def name(self) -> str:
+        """Name of the water."""
+        return self.water.name if isinstance(self.water, Water) else "of coefficients"
 
     @property
     def odd(self) -> str:
-        """A sentence if distances are hardly metres, or the water hardly the one named; else ""."""
-        asked, unit = f"{self.asked:.2g} at {self.metres:.3g} m", "are distances metres?"
-        by_contents = self.by == "contents"
-        if by_contents and not 1 / MOST_SCALED <= self.scale <= MOST_SCALED:
-            median = self.metres / self.scale
-            odd = f"a median of {median:.3g} m is scaled by {self.scale:.3g}: {unit}"
-        elif self.contents > MOST_CONTENTS:
-            times = f"that is {self.contents:.3g} times what is in it"
-            odd = f"water {self.water} is too clear for {asked}: {times}. Name a more turbid one"
-        elif not 1 / MOST_MISSED <= self.contrast / self.asked <= MOST_MISSED:
-            water = "pure water" if by_contents else f"water {self.water}"
-            why = unit if by_contents else "water.contrast_by=contents would change what is in it"
-            odd = f"{water} leaves {self.contrast:.2g} of contrast, not {asked}: {why}"
-        else:
-            return ""
-        cure = "water.contrast=None (--contrast none) leaves distances and water as they are"
-        return f"{odd}; {cure}"
+        """A sentence if the water is hardly the one named, or too murky when pure; else ""."""
+        asked = f"a contrast of {self.asked:.2g} at {self.metres:.3g} m" if self.asked else "it"
+        if self.contents > MOST_CONTENTS:
+            return f"{self.name}, for {asked}: name a more turbid water"
+        return (
+            "" if self.contents else f"pure water leaves less than {asked}: are distances metres?"
+        )
 
 
 class PictureWater(NamedTuple):
     """The water of one picture."""
 
     medium: Medium
-    scale: float  # factor of all distances
     vertical_depth: float | None  # m; None of a medium
-    reached: Reached | None  # None if no contrast was asked for
+    water: Water | Medium
+    contents: float  # factor of what is in it that brought it to a contrast
 
 
 @codec.plain
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomWater(Noun):
     """Draws the water of each picture, as its camera sees it. A range is a number or (low, high),
-    drawn uniformly; contrast is drawn uniformly in its logarithm.
+    drawn uniformly; visibility and contrast uniformly in their logarithm.
 
     Args:
         waters: one or several of what `uwaug.load_water` takes; `Constituents` (or their text, such
             as "chlorophyll=1:20,cdom=.1:1"), whose contents are drawn anew for each picture,
-            uniformly in their logarithm; and a `Medium`, which stays as it is: contrast, depth, g,
-            mu, blur, camera and its matrix do not apply to it. Picked with equal weight; one that
+            uniformly in their logarithm; and a `Medium`: visibility, depth, g, mu, blur, camera and
+            its matrix do not apply to it. Picked with equal weight; one that
             is given twice counts twice. None for `WATERS`.
-        contrast: share of an object's contrast of luminance that is left at the scene's median
-            distance, ignoring scattered light (see `Water.contrast`). None leaves distances, and
-            waters as they are in nature.
-        contrast_by: "contents" brings a water to it by scaling what is in it, as far as pure water
-            allows; a scene whose median lies below 1 m or above 8 m is scaled to that first.
-            "distance" scales the scene, to a median between .1 and 100 m, and leaves the water as
-            it is. Under a `uwaug.Light` no scene is scaled, as lamps stand in metres. None: by
-            distance where all waters of a picture are names; else by contents, and also under lamps
-            where `waters` is None.
+        visibility: m at which 2 % of an object's contrast of luminance are left by daylight, see
+            `Water.visibility`: what is in each water is scaled to it. None: waters stay as they
+            are; those of `WATERS`, where `waters` is None, let one see 1.5 to 12 times the median
+            distance of the scene, types as they are in nature if that is so.
+        contrast: share of contrast that is left at the scene's median distance, ignoring scattered
+            light (see `Water.contrast`), but under lamps with it: what is in the water is scaled
+            to it, as far as pure water allows; of a `Medium` all rates are. None: what is left
+            follows from the water. Distances are never scaled.
         mixing: share of a second water, picked like the first. Both draw their contents at
             the same shares of their ranges.
         vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/8 of
@@ -155,7 +151,6 @@ class RandomWater(Noun):
     """
 
     PLAIN: ClassVar = {
-        "contrast": None,
         "vertical_depth": 0.0,
         "mu": None,
         "field": None,
@@ -164,8 +159,8 @@ class RandomWater(Noun):
 
     waters: AnyWater | Iterable[AnyWater] | None = None
     _: KW_ONLY
-    contrast: Range | None = number((0.07, 0.4), 1e-3, 1.0, logarithmic=True)
-    contrast_by: Knob | None = None
+    visibility: Range | None = number(None, 1e-3, 1e3, logarithmic=True)
+    contrast: Range | None = number(None, 1e-3, 1.0, logarithmic=True)
     mixing: Range = number(0.0, *DOMAIN["mixing"])
     vertical_depth: Range = number((1.0, 15.0), *DOMAIN["vertical_depth"])
     g: Range = number(0.05, *DOMAIN["g"])
@@ -186,8 +181,8 @@ class RandomWater(Noun):
             checks.instance("point_spread", self.point_spread, PointSpread)
         if self.snow is not None:
             checks.instance("snow", self.snow, MarineSnow)
-        if self.contrast_by is not None:
-            checks.one_of("contrast_by", self.contrast_by, get_args(Knob))
+        if self.visibility is not None and self.contrast is not None:
+            raise ValueError("visibility and contrast both say how clear water is: give one")
         waters = self.waters
         if isinstance(waters, (set, frozenset)):
             raise TypeError("waters must have an order, as draws follow it; got a set")
@@ -212,9 +207,13 @@ class RandomWater(Noun):
         return any(isinstance(water, Medium) for water in self.by_name.values())
 
     def ranges(self) -> dict[str, Range | None]:
-        """See `Noun.ranges`; none if all waters are a `Medium`."""
-        are_media = all(isinstance(water, Medium) for water in self.by_name.values())
-        return {} if are_media else super().ranges()
+        """See `Noun.ranges`; contrast alone if all waters are a `Medium`. "clearness" is where in
+        `VISIBLE` the visibility lies.
+        """
+        if all(isinstance(water, Medium) for water in self.by_name.values()):
+            return {"contrast": self.contrast}
+        is_free = self.waters is None and self.visibility is None
+        return {**super().ranges(), **({"clearness": (0.0, 1.0)} if is_free else {})}
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
         """See `Noun.drawn`; "waters" are the names of one or two, or amounts of contents."""
@@ -248,29 +247,61 @@ class RandomWater(Noun):
 
     def of_each_picture(self) -> list[str]:
         """Names of the options that follow from the distances of a picture."""
-        return ["water.contrast"] if self.contrast is not None and not self.has_media else []
+        return ["water.contrast"] if self.contrast is not None else []
 
-    def of(self, draw: Drawn, measured: Measured, *, lamps: bool) -> PictureWater:
-        """The water of a picture, for lamps if there are any, and the factor of its distances."""
+    def water(self, draw: Drawn, median: float) -> tuple[Water | Medium, float]:
+        """The water of a picture, of a scene with this median distance [m], before a contrast is
+        asked for; and how many times its contents it has.
+        """
         first = draw["waters"][0]
         fixed = self.by_name.get(first) if isinstance(first, str) else None
         if isinstance(fixed, Medium):
-            return PictureWater(self._with_snow(fixed, draw, measured), 1.0, None, None)
+            return fixed, 1.0
         water, *second = map(self._spectra, draw["waters"])
         if second:
             water = water.mix(second[0], draw["mixing"])
-        scale, reached = 1.0, None
-        if "contrast" in draw:
-            are_names = {*map(type, draw["waters"])} == {str}
-            stays = are_names and (self.waters is not None or not measured.lamps)
-            knob = self.contrast_by or ("distance" if stays else "contents")
-            reach = _by_distance if knob == "distance" else _by_contents
-            water, reached = reach(water, draw["contrast"], measured)
-            scale = reached.scale
-            if reached.odd:
-                odd_scene.warn(reached.odd)
+        visibility = draw.get("visibility")
+        if "clearness" in draw and math.isfinite(median):
+            least, most = (count * median for count in VISIBLE)
+            visibility = least * (most / least) ** draw["clearness"]
+            if isinstance(first, str):
+                visibility = min(max(water.visibility(), least), most)
+        if visibility is None:
+            return water, 1.0
+        contents = _contents(water, CONTRAST_THRESHOLD, visibility)
+        return water.with_contents(contents), contents
+
+    def of(
+        self,
+        water: Water | Medium,
+        draw: Drawn,
+        measured: Measured,
+        light: Light | None,
+        view: View,
+    ) -> PictureWater:
+        """The medium of a picture, from its `water`, which is brought to the contrast that was
+        drawn, if any, in this light.
+        """
+        has_lamps = bool(light and light.lamps)
+        medium_of = partial(self._medium_of, draw=draw, metered=measured.metered, lamps=has_lamps)
+        contents, asked = 1.0, draw.get("contrast")
+        if asked is not None and math.isfinite(measured.median):
+            if has_lamps or isinstance(water, Medium):
+                contents = _contents_under(light, water, medium_of, asked, measured, view)
+            else:
+                contents = _contents(water, asked, measured.median)
+            water = water.with_contents(contents)
+        medium, depth = medium_of(water)
+        return PictureWater(self._with_snow(medium, draw, measured), depth, water, contents)
+
+    def _medium_of(
+        self, water: Water | Medium, *, draw: Drawn, metered: bool, lamps: bool
+    ) -> tuple[Medium, float | None]:
+        """The medium of a water, and its depth below the surface [m]."""
+        if isinstance(water, Medium):
+            return water, None
         depth, daylight = draw["vertical_depth"], 1.0
-        if measured.metered and not measured.lamps:
+        if metered and not lamps:
             daylight = water.daylight(depth)
             if daylight < DIMMEST:
                 deepest = min(depth, water.depth_of_daylight(DIMMEST))
@@ -283,9 +314,7 @@ class RandomWater(Noun):
         surfaces = "color_matrix" in draw, draw.get("color_matrix", 1.0)
         tolerance = _CURVES * daylight  # errors, too, are brought up by an exposure
         options = (depth, draw["g"], self._mu(draw), law, *surfaces, tolerance)
-        medium = self._medium(water, options, lamps)
-        medium = self._with_snow(medium, draw, measured.scaled(scale))
-        return PictureWater(medium, scale, depth, reached)
+        return self._medium(water, options, lamps), depth
 
     def fields(
         self, draws: Sequence[Draw], measured: Sequence[Measured], like: Tensor, view: View
@@ -341,29 +370,35 @@ class RandomWater(Noun):
             raise ValueError(f"params asks for {water!r:.80}, but this transform has {has}")
 
 
-def _by_contents(water: Water, asked: float, measured: Measured) -> tuple[Water, Reached]:
-    """Bring a water to the contents that leave a contrast at the median distance."""
-    scale = 1.0
-    if not measured.lamps and math.isfinite(measured.median):
-        scale = min(max(measured.median, MEDIANS[0]), MEDIANS[1]) / measured.median
-    metres = measured.median * scale
-    contents = water.contents_for(asked, metres)
+def _contents(water: Water, contrast: float, metres: float) -> float:
+    """Factor of what is in a water that leaves this contrast at a distance [m] by daylight."""
+    contents = water.contents_for(contrast, metres)
     if math.isinf(contents):
-        cure = "draw from waters that have something in them, or give contrast=None"
+        cure = "draw from waters that have something in them, or give no contrast"
         raise ValueError(f"contrast: {water.name!r} is nothing but pure water to the eye: {cure}")
-    scaled = water.with_contents(contents)
-    contrast = asked if contents else scaled.contrast(metres)
-    return scaled, Reached(water.name, metres, scale, contents, contrast, asked, "contents")
+    return contents
 
 
-def _by_distance(water: Water, asked: float, measured: Measured) -> tuple[Water, Reached]:
-    """Leave a water as it is, and bring the median distance to where it leaves a contrast."""
-    metres = measured.median
-    if not measured.lamps and math.isfinite(metres):
-        metres = min(max(water.metres_for(asked), SCALED_MEDIANS[0]), SCALED_MEDIANS[1])
-    contrast = water.contrast(metres) if math.isfinite(metres) else asked
-    scale = metres / measured.median if math.isfinite(metres) else 1.0
-    return water, Reached(water.name, metres, scale, 1.0, contrast, asked, "distance")
+def _contents_under(
+    light: Light | None,
+    water: Water | Medium,
+    medium_of: Callable[[Water | Medium], tuple[Medium, float | None]],
+    contrast: float,
+    measured: Measured,
+    view: View,
+) -> float:
+    """Factor of what is in a water that leaves this contrast of a wall at the median distance, in a
+    light, whose scattered light counts.
+    """
+    wall = torch.full((1, *_WALL_PX), measured.median, dtype=torch.float64)
+    shown = view.resized(_WALL_PX[1] / measured.width)
+    low, high = -_MOST_STOPS, _MOST_STOPS
+    for _ in range(_HALVINGS):
+        stops = (low + high) / 2
+        medium, _depth = medium_of(water.with_contents(2.0**stops))
+        left = contrast_left(wall, medium, light=light, view=shown).mean()
+        low, high = (stops, high) if float(left) > contrast else (low, stops)
+    return 2.0**low if low > -_MOST_STOPS else 0.0
 
 
 def _named(waters: Any) -> list[tuple[str, Water | Constituents | Medium]]:

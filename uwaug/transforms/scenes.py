@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from uwaug import fast
 from uwaug._support import checks
+from uwaug._support.nouns import Drawn
 from uwaug._support.once import Once
 from uwaug._support.types import ColorSpace
 from uwaug.distance.doubts import first_maps
@@ -16,15 +18,16 @@ from uwaug.distance.sizes import brought_to
 from uwaug.distance.sources import Metres, Source
 from uwaug.distance.unknown import FARTHEST_SEEN
 from uwaug.formation.colour import decoded, linear_to_srgb, require_values
-from uwaug.formation.contrast import FAINT, contrast_left
+from uwaug.formation.contrast import FAINT, contrast_left, metres_for
 from uwaug.formation.each import form_each
 from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
+from uwaug.optics.medium import Medium
 from uwaug.optics.view import View
+from uwaug.optics.water import Water
 from uwaug.transforms.draws import Draw
 from uwaug.transforms.measured import Measured, measure
-from uwaug.transforms.random_light import RandomLight
-from uwaug.transforms.random_water import RandomWater, Reached
+from uwaug.transforms.random_water import PLACED_M, Clarity, RandomWater, odd_scene
 from uwaug.transforms.samples import maps_for, naming, typed
 from uwaug.transforms.truth import Truth, truth_of
 
@@ -38,9 +41,8 @@ class Scene(NamedTuple):
     """One picture in the water that it has drawn."""
 
     setting: Setting
-    scale: float  # factor of all distances
     vertical_depth: float | None  # m; None of a medium
-    reached: Reached | None  # None if no contrast was asked for
+    clarity: Clarity
 
 
 class Scenes(NamedTuple):
@@ -81,10 +83,10 @@ class Scenes(NamedTuple):
             shares[i] = contrast_left(z, setting.medium, metres=metres, **options)
         return shares[0] if self.image.ndim == 3 else torch.stack(shares)
 
-    def reached(self, picture: int) -> Reached | None:
-        """The contrast of one of the pictures and what it took, if it asked for one."""
+    def clarity(self, picture: int) -> Clarity | None:
+        """The clarity of the water of one of the pictures, if it is in water."""
         scenes = dict(zip(self.chosen, self.scenes, strict=True))
-        return scenes[picture].reached if picture in scenes else None
+        return scenes[picture].clarity if picture in scenes else None
 
     def truth(self, picture: int = 0) -> Truth | None:
         """What water and camera did to one of the pictures; None if it is left alone."""
@@ -103,14 +105,14 @@ class Scenes(NamedTuple):
         """Median distance, exposure and white balance of this one picture, for all frames of its
         film, see `Measured.of_film`.
         """
-        (scene,) = self.scenes
-        setting, medium = scene.setting, scene.setting.medium.to(self.z)
+        ((setting, *_),) = self.scenes
+        medium = setting.medium.to(self.z)
         J = decoded(self.pictures, setting.color_space).to(self.z.dtype)
         T = setting.curves(medium, self.z, self.metres)
         development = setting.development.settled(J, self.z, medium, T)
         balance = development.white_balance
         return {
-            "median": setting.span[1] / scene.scale,
+            "median": setting.span[1],
             "exposure": development.exposure,
             "white_balance": balance if isinstance(balance, tuple) else None,
         }
@@ -137,49 +139,56 @@ def scenes_of(
     if not chosen:
         return Scenes(image, pictures)
     with checks.full_precision(pictures):
-        metres = _metres_of(source, pictures, maps, draws, space, view)
+        applied = [draws[i] for i in chosen]
+        # scenes without a size are placed in their water
+        waters = [] if source.has_size else [water.water(d.water, PLACED_M) for d in applied]
+        placed = [
+            source.placed(draw.distance, partial(metres_for, of_it))
+            for draw, (of_it, _) in zip(applied, waters, strict=False)
+        ]
+        metres = _metres_of(source, pictures, maps, draws, placed, space, view)
         submerged = pictures if len(chosen) == len(pictures) else pictures[chosen]
-        light = getattr(nouns["light"], "value", None)  # the same for all pictures, in metres
-        camera = {"metered": nouns["development"].metered, "lamps": bool(light and light.lamps)}
-        measurements = measure(submerged, metres, **camera)
+        metered = nouns["development"].metered
+        measurements = measure(submerged, metres, metered=metered)
         are_whole = all(m.nearest > 0 and m.farthest < FARTHEST_SEEN for m in measurements)
         if not are_whole and source == _WHOLE_MAPS:
             metres = _read_again(source, pictures, metres, chosen)
-            measurements = measure(submerged, metres, **camera)
+            measurements = measure(submerged, metres, metered=metered)
         scenes, of_films = [], []
-        applied = [draws[i] for i in chosen]
-        for i, draw, measured in zip(chosen, applied, measurements, strict=True):
+        for n, (i, draw, measured) in enumerate(zip(chosen, applied, measurements, strict=True)):
             with naming(i, len(pictures)):
                 if not (measured.darkest >= 0 and measured.brightest <= 1):
                     require_values(pictures[i], space)
                 of_films.append(measured.of_film(draw.measured, draw.passed))
-                scenes.append(_scene(draw, measured, of_films[-1], nouns, view))
+                drawn = waters[n] if waters else water.water(draw.water, of_films[-1].median)
+                scenes.append(_scene(draw, drawn, measured, of_films[-1], nouns, view))
         metres = metres.double() if pictures.dtype == torch.float64 else metres
-        scales = [scene.scale for scene in scenes]
-        if {*scales} != {1.0}:
-            metres = metres * metres.new_tensor(scales)[:, None, None, None]
         metres = metres.clamp(max=FARTHEST)
         z = metres * water.fields(applied, of_films, metres, view)
     return Scenes(image, pictures, chosen, z, metres, scenes)
 
 
 def _scene(
-    draw: Draw, measured: Measured, of_film: Measured, nouns: Mapping[str, Any], view: View
+    draw: Draw,
+    drawn: tuple[Water | Medium, float],
+    measured: Measured,
+    of_film: Measured,
+    nouns: Mapping[str, Any],
+    view: View,
 ) -> Scene:
-    """A picture in water, from its draw and what was measured: by itself, and of its film."""
+    """A picture in the water that it has drawn, by what was measured: by itself, of its film."""
     water: RandomWater = nouns["water"]
-    lamps = measured.lamps or RandomLight.has_lamps(draw.light)
-    medium, scale, vertical_depth, reached = water.of(draw.water, of_film, lamps=lamps)
-    scaled = of_film.scaled(scale)
-    light = nouns["light"].of(draw.light, scaled)
-    development = nouns["development"].of(draw.development, scaled)
+    light = nouns["light"].of(draw.light, of_film)
+    medium, vertical_depth, made, contents = water.of(drawn[0], draw.water, of_film, light, view)
+    development = nouns["development"].of(draw.development, of_film)
     thin, dense = water.field or (1.0, 1.0)
-    nearest = scale * thin * measured.nearest
-    farthest = scale * dense * measured.farthest
-    span = nearest, scale * measured.median, farthest
+    span = thin * measured.nearest, measured.median, dense * measured.farthest
     space = nouns["development"].color_space
     setting = Setting(medium, light, development, view, space, span)
-    return Scene(setting, scale, vertical_depth, reached)
+    clarity = Clarity(made, drawn[1] * contents, of_film.median, draw.water.get("contrast"))
+    if clarity.odd:
+        odd_scene.warn(clarity.odd)
+    return Scene(setting, vertical_depth, clarity)
 
 
 def _metres_of(
@@ -187,11 +196,14 @@ def _metres_of(
     pictures: Tensor,
     maps: Sequence[Tensor | None],
     draws: Sequence[Draw],
+    placed: Sequence[Drawn],
     color_space: ColorSpace,
     view: View,
 ) -> Tensor:
-    """Distances (Nx1xHxW, m) of the pictures (Bx3xHxW) to degrade; of `Metres()` as they come."""
-    results = []
+    """Distances (Nx1xHxW, m) of the pictures (Bx3xHxW) to degrade; of `Metres()` as they come. The
+    draws of their distances are `placed`, if scenes are.
+    """
+    results = list[Tensor]()
     for i, (metres, picture, draw) in enumerate(zip(maps, pictures, draws, strict=True)):
         if not draw.applied:
             continue
@@ -204,7 +216,8 @@ def _metres_of(
                 srgb = linear_to_srgb(light.clamp(0, 1))
             with naming(i, len(pictures)):
                 rays = view.planar(picture.shape[-1])
-                metres = source.metres(metres, srgb, draw.distance, **rays)
+                drawn = placed[len(results)] if placed else draw.distance
+                metres = source.metres(metres, srgb, drawn, **rays)
         if metres.dtype.itemsize < 4:
             metres = metres.float()
         results.append(brought_to(picture.shape[-2:], metres))
