@@ -45,7 +45,13 @@ TOE = 1e-4  # light below which tone is straight: less contrast is infinitely st
 # stripes and rows of any period in pictures of any size, and the mean luminance of noise is right
 # within 1 %. (A grid of every fourth pixel is off by 10 % at 16 px.)
 METERED = 8192
-BURNT = 0.05  # share of the metered pixels that may burn out
+BURNT = 0.02  # share of the metered pixels that may burn out
+# CIE chroma at L* = 0, and more of it by L*, that the mean colours of 99.5 % of 342 photographs stay
+# below; a saturation above 1 takes a metered picture no farther
+CHROMA = (36.0, 0.45)
+# from linear sRGB to X/X_n, Y, Z/Z_n of D65 (IEC 61966-2-1)
+_XYZ = ((0.4339, 0.3762, 0.1899), LUMINANCE, (0.0178, 0.1095, 0.8727))
+_LEAST_LIGHT = 1e-4  # of a channel, as cube roots have no slope at 0
 _BITS = 20
 TURN = 1 << _BITS  # a whole side, in the unit of `STEPS`
 # Steps between metered pixels along rows and columns: 1/x and 1/x² with x³ = x + 1 (Roberts 2018,
@@ -70,7 +76,8 @@ class Development:
         exposure: −10…10 stops; or "auto", which stands for 0 stops, metered.
         white_balance: share of a grey-world correction, up to 1, which keeps luminance; 0 and less
             for none. Or three factors of the channels, as of a camera that was set.
-        saturation: 0 for grey, 1 to leave colours as they are, up to 4.
+        saturation: 0 for grey, 1 to leave colours as they are, up to 4. If metered, more than 1 only
+            as far as photographs have such colours, see `CHROMA`.
         gamut: share of gamut compression, 0…1. 0 clips negative channels; 1 squeezes distances from
             grey, (max − c)/max, above .75 to below 1, along the curve of ACES' reference gamut
             compression (Academy, S-2020-001) with power 2.
@@ -78,7 +85,7 @@ class Development:
             k = .82·p/(.18 − p); black, mid-grey and white stay, and its slope at mid-grey is
             c·k/(p + k). Light above white goes on along the slope there.
         metered: True for a gain of each picture, 1/8…64, below the exposure's stops. It keeps the
-            mean luminance of the scene; with stops above 0 the brightest channel of all but 5 % of
+            mean luminance of the scene; with stops above 0 the brightest channel of all but 2 % of
             the pixels stays at or below white. None: only if exposure is "auto".
         noise: the sensor, see `uwaug.Sensor`; None for light without noise.
 
@@ -159,7 +166,7 @@ class Development:
 
     def gain_of(self, means: "Means | None", like: Tensor) -> Tensor:
         """The `gain` for what `metered` has measured, of the type of `like`."""
-        saturation = _of_rows(self.saturation, 3)
+        saturation = _of_rows(self.saturation, 2)
         stops = _of_rows(self.exposure, 2)
         if means is not None and self.metered:
             gain = _automatic(means, stops)
@@ -171,6 +178,10 @@ class Development:
             gain = gain * _balance(means.positive, _of_rows(self.white_balance, 2))
         if isinstance(saturation, float) and saturation == 1:
             return gain
+        if means is not None and self.metered:
+            saturation = _held(saturation, means.positive * gain)[..., None]
+        elif isinstance(saturation, Tensor):
+            saturation = saturation[..., None]
         unit = torch.eye(3, dtype=gain.dtype, device=gain.device)
         grey = gain.new_tensor(LUMINANCE).expand(3, 3)
         return (grey + saturation * (unit - grey)) * gain[:, None]
@@ -249,6 +260,19 @@ def _balance(means: Tensor, share: float | Tensor) -> Tensor:
     return torch.where(lit, balance, 1.0)
 
 
+def _held(saturation: Any, mean: Tensor) -> Tensor:
+    """Saturation (B, 1), above 1 no farther than `CHROMA` of the mean light (B, 3)."""
+    grey, to_xyz = _luminance(mean), mean.new_tensor(_XYZ).mT
+    held = grey.new_zeros(grey.shape) + saturation
+    for _ in range(2):
+        vivid = (grey + held * (mean - grey)).clamp(min=_LEAST_LIGHT)
+        x, y, z = ((vivid @ to_xyz) ** (1 / 3)).split(1, -1)
+        chroma = ((500 * (x - y)) ** 2 + (200 * (y - z)) ** 2 + _LEAST_LIGHT).sqrt()
+        most = CHROMA[0] + CHROMA[1] * (116 * y - 16)
+        held = held.minimum((held * most / chroma).clamp(min=1.0))
+    return held
+
+
 @compiled
 def gain_at(
     means: Array,
@@ -275,6 +299,15 @@ def gain_at(
         balance = (before / np.maximum(means[2], before / MOST)) ** white_balance
         after = (balance * means[2] * luminance).sum()
         gains *= balance * (before / after if after > DARKEST else 1.0)
+    if metered:
+        mean = gains * means[2]
+        grey = (mean * luminance).sum()
+        for _ in range(2):
+            vivid = np.maximum(grey + saturation * (mean - grey), _LEAST_LIGHT)
+            x, y, z = (np.array(_XYZ) * vivid).sum(1) ** (1 / 3)
+            chroma = math.sqrt((500 * (x - y)) ** 2 + (200 * (y - z)) ** 2 + _LEAST_LIGHT)
+            most = CHROMA[0] + CHROMA[1] * (116 * y - 16)
+            saturation = min(saturation, max(saturation * most / chroma, 1.0))
     matrix = np.empty((3, 3))
     for row in range(3):
         matrix[row] = (1 - saturation) * luminance

@@ -304,6 +304,14 @@ export function gainOf(scene, { table, rise }, { exposure, white_balance, satura
     const kept = mean / Y(join(balance, positive, (x, y) => x * y));
     balance = balance.map(x => x * kept);
   }
+  const colour = join(positive, balance, (x, factor) => metered * factor * x), grey = Y(colour);
+  for (let i = 0; i < 2; i++) { // no colours that photographs do not have
+    const vivid = colour.map(x => Math.max(grey + saturation * (x - grey), meter.leastLight));
+    const [x, y, z] = meter.xyz.map(row => Math.cbrt(sum(join(row, vivid, (weight, light) => weight * light))));
+    const chroma = Math.sqrt((500 * (x - y)) ** 2 + (200 * (y - z)) ** 2 + meter.leastLight);
+    const highest = meter.chroma[0] + meter.chroma[1] * (116 * y - 16);
+    saturation = Math.min(saturation, Math.max(saturation * highest / chroma, 1));
+  }
   return [0, 1, 2].map(c => balance.map((factor, j) =>
     metered * factor * ((1 - saturation) * luminance[j] + (c === j ? saturation : 0))));
 }

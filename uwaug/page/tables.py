@@ -95,6 +95,9 @@ def tables() -> dict[str, Any]:
             "gains": development.GAINS,
             "most": development.MOST,
             "burnt": development.BURNT,
+            "chroma": development.CHROMA,
+            "xyz": development._XYZ,
+            "leastLight": development._LEAST_LIGHT,
         },
         "tone": {
             "from": development.GAMUT_FROM,

@@ -40,12 +40,12 @@ class RandomDevelopment(Noun):
         "tone": 1.0,
     }
 
-    exposure: Range = number((-1.3, 0.6), *DOMAINS["exposure"])
+    exposure: Range = number((-1.2, 0.9), *DOMAINS["exposure"])
     metered: bool = True
     white_balance: Range = number((-0.8, 0.6), *DOMAINS["white_balance"])
-    saturation: Range = number((0.85, 1.35), *DOMAINS["saturation"])
-    gamut: Range = number((0.7, 1.0), *DOMAINS["gamut"])
-    tone: Range = number((0.9, 1.6), *DOMAINS["tone"])
+    saturation: Range = number((0.9, 1.45), *DOMAINS["saturation"])
+    gamut: Range = number((0.85, 1.0), *DOMAINS["gamut"])
+    tone: Range = number((0.95, 1.5), *DOMAINS["tone"])
     color_space: ColorSpace = "srgb"
     noise: Sensor | None = None
 

@@ -32,12 +32,12 @@ from uwaug.transforms.measured import Measured
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
 
-CONTENTS = Constituents(chlorophyll=(1.0, 30.0), cdom=(0.03, 0.35), minerals=(0.25, 4.0))
+CONTENTS = Constituents(chlorophyll=(1.0, 9.0), cdom=(0.15, 1.2), minerals=(0.06, 1.2))
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
-WATERS = ("IB", "II", "III", "1C", "3C", "5C", *[CONTENTS] * 4)
-"""Six of ten default waters are Jerlov types. In 7C and 9C by name nearly one colour is left, which
-looks like a filter. (Others that were tried: benchmarks/CHOICES.md, default draws.)
+WATERS = ("IB", "II", "III", "1C", "3C", *[CONTENTS] * 5)
+"""Five of ten default waters are Jerlov types. In 7C and 9C nearly one colour is left, which looks
+like a filter. (Others that were tried: benchmarks/CHOICES.md, default draws.)
 """
 
 DIMMEST = 1 / 8
@@ -47,7 +47,7 @@ turbid waters have one colour, which a camera's matrix makes neon.
 
 _CURVES = 0.002  # tolerance of a medium's curves, in the light that a metered exposure makes of it
 
-VISIBLE = (1.5, 12.0)
+VISIBLE = (1.8, 14.0)
 """Median distances of a scene that one sees in the default waters: photographers stand where they
 can see. (How it was chosen: benchmarks/CHOICES.md, default draws.)
 """
@@ -119,7 +119,7 @@ class RandomWater(Noun):
             is given twice counts twice. None for `WATERS`.
         visibility: m at which 2 % of an object's contrast of luminance are left by daylight, see
             `Water.visibility`: what is in each water is scaled to it. None: waters stay as they
-            are; those of `WATERS`, where `waters` is None, let one see 1.5 to 12 times the median
+            are; those of `WATERS`, where `waters` is None, let one see 1.8 to 14 times the median
             distance of the scene, types as they are in nature if that is so.
         contrast: share of contrast that is left at the scene's median distance, ignoring scattered
             light (see `Water.contrast`), but under lamps with it: what is in the water is scaled
@@ -162,13 +162,13 @@ class RandomWater(Noun):
     visibility: Range | None = number(None, 1e-3, 1e3, logarithmic=True)
     contrast: Range | None = number(None, 1e-3, 1.0, logarithmic=True)
     mixing: Range = number(0.0, *DOMAIN["mixing"])
-    vertical_depth: Range = number((1.0, 15.0), *DOMAIN["vertical_depth"])
+    vertical_depth: Range = number((0.7, 10.0), *DOMAIN["vertical_depth"])
     g: Range = number(0.05, *DOMAIN["g"])
-    mu: Range | None = number((0.02, 0.07), *DOMAIN["mu"])
+    mu: Range | None = number((0.012, 0.055), *DOMAIN["mu"])
     point_spread: PointSpread | None = None
     field: tuple[float, float] | None = (0.8, 1.2)
     camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)"
-    color_matrix: Range | None = number((0.0, 0.8), *DOMAIN["color_matrix"])
+    color_matrix: Range | None = number((0.15, 0.85), *DOMAIN["color_matrix"])
     snow: MarineSnow | None = None
 
     names: Sequence[str] = derived(init=False, repr=False)
