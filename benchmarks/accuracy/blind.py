@@ -3,12 +3,12 @@
     python -m benchmarks.accuracy.blind --photographs FOLDER --sources FOLDER --out PAGES
     python -m benchmarks.accuracy.blind --out PAGES --verdicts FILE…
 
-The first line mixes 60 photographs taken under water and 60 draws on pictures in air, and writes
-them as numbered pages of twenty, all cut to one shape, as shapes would tell; `PAGES/key.json` says
-which is which. Show the pages, and nothing else, to someone who has not seen this project. A
-verdict is a line: the number, `C` (as for light, colour and haze, taken under water; what is shown
-does not matter), `O` (plausible, but odd) or `G` (gives itself away), and a reason. The second line
-counts.
+The first line mixes 60 photographs taken under water and 60 draws on pictures in air (or on clear,
+near photographs of the sea, so that content cannot tell), and writes them as numbered pages of
+twenty, all cut to one shape, as shapes would tell; `PAGES/key.json` says which is which. Show the
+pages, and nothing else, to someone who has not seen this project. A verdict is a line: the number,
+`C` (as for light, colour and haze, taken under water; what is shown does not matter), `O`
+(plausible, but odd) or `G` (gives itself away), and a reason. The second line counts.
 """
 
 import argparse
@@ -24,18 +24,20 @@ import uwaug
 from uwaug.distance import MadeUp
 from uwaug.files import read_picture
 
-COUNT, PAGE, ACROSS = 60, 20, 5
+PAGE, ACROSS = 20, 5
 SIDE, WIDTH, HEIGHT = (220, 165), 224, 184  # px, of a picture and of its place
 
 
-def write_pages(photographs: Path, sources: Path, out: Path, seed: int) -> None:
+def write_pages(photographs: Path, sources: Path, out: Path, seed: int, count: int) -> None:
     """Pages of both kinds, in an order that a seed draws, and the key to them."""
     rng = np.random.default_rng(seed)
-    real, air = (sorted(folder.glob("*.jpg")) for folder in (photographs, sources))
-    pictures = [Image.open(real[i]).convert("RGB") for i in rng.permutation(len(real))[:COUNT]]
-    kinds = ["photograph"] * len(pictures) + ["draw"] * COUNT
+    air = sorted(sources.glob("*.jpg"))
+    names = {path.name for path in air}  # of underwater subjects, which are not shown as they are
+    real = [path for path in sorted(photographs.glob("*.jpg")) if path.name not in names]
+    pictures = [Image.open(real[i]).convert("RGB") for i in rng.permutation(len(real))[:count]]
+    kinds = ["photograph"] * len(pictures) + ["draw"] * count
     augment = uwaug.RandomUnderwater(distance=MadeUp())
-    for index in range(COUNT):
+    for index in range(count):
         image = read_picture(air[rng.integers(len(air))])
         drawn = augment.at(seed=seed, epoch=0, index=index)(image)
         pictures.append(Image.fromarray(drawn.movedim(0, -1).numpy()))
@@ -72,10 +74,11 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--verdicts", type=Path, nargs="+")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--count", type=int, default=60, help="of each kind")
     given = parser.parse_args()
     if given.verdicts:
         count(given.out, given.verdicts)
     elif given.photographs and given.sources:
-        write_pages(given.photographs, given.sources, given.out, given.seed)
+        write_pages(given.photographs, given.sources, given.out, given.seed, given.count)
     else:
         parser.error("give --photographs and --sources, or --verdicts")

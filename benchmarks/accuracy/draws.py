@@ -39,9 +39,7 @@ SIDE = 256  # px, short side of the bundled scene
 
 CHANGED: dict[str, dict[str, Any]] = {
     "defaults": {},
-    "Jerlov types alone": {
-        "water": RandomWater(("IB", "II", "III", "1C", "3C", "5C", "7C", "9C"))
-    },
+    "Jerlov types alone": {"water": RandomWater(("IB", "II", "III", "1C", "3C", "5C", "7C", "9C"))},
     "contrast .1–.9": {"water": RandomWater(contrast=(0.1, 0.9))},
     "mu None": {"water": RandomWater(mu=None)},
     "daylight": {"light": None},

@@ -46,8 +46,8 @@ TOE = 1e-4  # light below which tone is straight: less contrast is infinitely st
 # within 1 %. (A grid of every fourth pixel is off by 10 % at 16 px.)
 METERED = 8192
 BURNT = 0.02  # share of the metered pixels that may burn out
-# CIE chroma at L* = 0, and more of it by L*, that the mean colours of 99.5 % of 342 photographs stay
-# below; a saturation above 1 takes a metered picture no farther
+# CIE chroma at L* = 0, and more of it by L*: mean colours of 99.5 % of 342 photographs stay below,
+# and a saturation above 1 takes a metered picture no farther
 CHROMA = (36.0, 0.45)
 # from linear sRGB to X/X_n, Y, Z/Z_n of D65 (IEC 61966-2-1)
 _XYZ = ((0.4339, 0.3762, 0.1899), LUMINANCE, (0.0178, 0.1095, 0.8727))
@@ -76,8 +76,8 @@ class Development:
         exposure: −10…10 stops; or "auto", which stands for 0 stops, metered.
         white_balance: share of a grey-world correction, up to 1, which keeps luminance; 0 and less
             for none. Or three factors of the channels, as of a camera that was set.
-        saturation: 0 for grey, 1 to leave colours as they are, up to 4. If metered, more than 1 only
-            as far as photographs have such colours, see `CHROMA`.
+        saturation: 0 for grey, 1 to leave colours as they are, up to 4. If metered, more than 1
+            only as far as photographs have such colours, see `CHROMA`.
         gamut: share of gamut compression, 0…1. 0 clips negative channels; 1 squeezes distances from
             grey, (max − c)/max, above .75 to below 1, along the curve of ACES' reference gamut
             compression (Academy, S-2020-001) with power 2.
@@ -263,10 +263,10 @@ def _balance(means: Tensor, share: float | Tensor) -> Tensor:
 def _held(saturation: Any, mean: Tensor) -> Tensor:
     """Saturation (B, 1), above 1 no farther than `CHROMA` of the mean light (B, 3)."""
     grey, to_xyz = _luminance(mean), mean.new_tensor(_XYZ).mT
-    held = grey.new_zeros(grey.shape) + saturation
+    held: Tensor = grey.new_zeros(grey.shape) + saturation
     for _ in range(2):
         vivid = (grey + held * (mean - grey)).clamp(min=_LEAST_LIGHT)
-        x, y, z = ((vivid @ to_xyz) ** (1 / 3)).split(1, -1)
+        x, y, z = ((vivid @ to_xyz) ** (1 / 3))[..., None].unbind(1)
         chroma = ((500 * (x - y)) ** 2 + (200 * (y - z)) ** 2 + _LEAST_LIGHT).sqrt()
         most = CHROMA[0] + CHROMA[1] * (116 * y - 16)
         held = held.minimum((held * most / chroma).clamp(min=1.0))
