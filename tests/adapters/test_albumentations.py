@@ -13,7 +13,7 @@ A = pytest.importorskip("albumentations")
 
 from uwaug.adapters.albumentations import AlbumentationsUnderwater  # noqa: E402
 
-AUGMENT = RandomUnderwater(RandomWater(["II", "7C"], contrast=(0.2, 0.4), contrast_by="contents"))
+AUGMENT = RandomUnderwater(RandomWater(["II", "7C"], contrast=(0.2, 0.4)))
 TARGETS = {"distance": "mask"}
 H, W = 24, 33
 MASK = np.zeros((H, W), np.uint8)  # AlbumentationsX moves a map only beside a mask

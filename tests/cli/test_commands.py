@@ -87,7 +87,7 @@ def test_pictures_alone_get_distances_that_are_made_up(folder, run):
     assert "4 of 4 pictures written to wet" in out
     assert (folder / "wet/sheet.jpg").is_file()
     # said explicitly, by one process, they are the same; and nobody is told twice
-    code, out, _ = run(*bare, "again", "--distance", "made-up", "--set", "distance.far=[2.5, 8]")
+    code, out, _ = run(*bare, "again", "--distance", "made-up", "--set", "distance.cue=network")
     assert code == 0
     assert "guessed" not in out
     assert len(written(folder / "wet")) == 4
@@ -292,7 +292,7 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("degrade photos --distance 3 --set turbidity=2 --out wet", "turbidity"),
         (
             "degrade photos --set water.contarst=.3 --out wet",
-            "RandomWater has no 'contarst', only waters, contrast,",
+            "RandomWater has no 'contarst', only waters, visibility,",
         ),
         ("degrade photos --set water.contarst=.3 --out wet", "did you mean contrast?"),
         ("degrade photos --set development.tnoe=1 --out wet", "did you mean tone?"),
@@ -450,7 +450,7 @@ def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
     assert rows["waters"]["7C"]["beta"] == medium.beta.float().tolist()
 
 
-@pytest.mark.parametrize("name", uwaug.list_presets())
+@pytest.mark.parametrize("name", sorted({*uwaug.list_presets()} - {"night"}))
 def test_what_is_shown_of_a_preset_is_its_file(run, tmp_path, name):
     code, out, _ = run("preset", "show", name)
     assert code == 0
@@ -609,9 +609,10 @@ def test_the_view_of_the_camera(folder, run):
     assert "focal_px must be in px of the picture, got 2.8: a lens of f mm" in err
 
 
-@pytest.mark.parametrize("flag", [("--severity", "all"), ("--contrast", ".5")])
-def test_a_medium_of_coefficients_has_no_grades(folder, run, flag):
-    line = ("degrade", "photos", *MAPS, "--preset", "tank-proposed-1", *flag, "--out", "wet")
-    code, _, err = run(*line)
-    assert (code, "a medium of coefficients stays as it is" in err) == (2, True)
-    assert not Path("wet").exists()
+def test_a_medium_of_coefficients_has_grades(folder, run):
+    line = ("degrade", "photos/a.png", "--preset", "tank-proposed-1", "--distance", "2", "--out")
+    assert run(*line, "wet", "--severity", "all")[0] == 0
+    records = [Path(f"wet/{level}/a.png.json") for level in SEVERITIES]
+    shares = [json.loads(path.read_text())["contrast"] for path in records]
+    assert shares == pytest.approx([*SEVERITIES.values()], abs=0.08)  # in an uneven field
+    assert shares == sorted(set(shares), reverse=True)

@@ -94,7 +94,7 @@ def test_a_small_map_gives_nearly_the_scene_of_a_whole_one(
     source: Source, z: Tensor, host: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("uwaug._support.checks.on_host", lambda x: host)
-    augment = RandomUnderwater(RandomWater("3C", field=None, contrast=None), distance=source)
+    augment = RandomUnderwater(RandomWater("3C", field=None), distance=source)
     image = torch.rand(2, 3, H, W)
     record = augment.make_params(image)
     far, near = (augment.scenes(image, torch.stack([m, m]), record).metres for m in (z, sampled(z)))
@@ -108,14 +108,14 @@ def test_a_small_map_gives_nearly_the_scene_of_a_whole_one(
 
 def test_functions_may_give_small_maps() -> None:
     network = Network(lambda image: sampled(scene()), Metres())
-    augment = RandomUnderwater(RandomWater("3C", field=None, contrast=None), distance=network)
+    augment = RandomUnderwater(RandomWater("3C", field=None), distance=network)
     image = torch.rand(3, H, W)
     assert augment.scenes(image, None, augment.make_params(image)).metres.shape[-2:] == (H, W)
 
 
 @pytest.mark.usefixtures("nothing_is_said")
 def test_it_is_said_once() -> None:
-    augment, image = RandomUnderwater("3C"), torch.rand(3, H, W)
+    augment, image = RandomUnderwater("II"), torch.rand(3, H, W)
     with pytest.warns(UserWarning, match="a map is 33×24 px and its picture 132×96 px: it is"):
         augment(image, sampled(scene()))
     augment(image, sampled(scene()))  # silent: a warning would be an error

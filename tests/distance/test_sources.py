@@ -75,6 +75,31 @@ def test_relative_distance_0_is_no_hole() -> None:
     assert 0 < float(z.min()) < 1e-5
 
 
+@pytest.mark.parametrize(
+    "ends, metres, placed",
+    [
+        ((None, None), (0.7, 6.0), (0.7, 6.0)),
+        ((None, None), (0.01, 0.05), (0.1, 0.2)),  # no nearer than a lens, twice as far at least
+        ((None, None), (9.0, 400.0), (2.5, 50.0)),
+        ((3.0, None), (0.7, 4.0), (3.0, 6.0)),
+        ((None, 1.0), (0.7, 6.0), (0.5, 1.0)),
+        ((2.0, 7.0), (0.7, 6.0), (2.0, 7.0)),
+    ],
+)
+@pytest.mark.parametrize("kind", [Relative, Inverse, MadeUp])
+def test_ends_are_placed_in_the_water(kind: Any, ends: Any, metres: Any, placed: Any) -> None:
+    source = kind(*ends)
+    assert source.has_size == (None not in ends)
+    for one, wrap in ((source, lambda x: x), (Network(len, source), lambda x: {"holds": x})):
+        drawn = wrap(source.drawn(lambda name: 0.5))
+        for end, share in zip(ends, ("near_left", "far_left"), strict=True):
+            assert (end is None) == (share in source.ranges())
+        found = one.placed(drawn, lambda left: metres[left < 0.3])
+        found = found.get("holds", found)
+        assert (found["near"], found["far"]) == placed
+    assert source.reach() == (ends if source.has_size else None)
+
+
 REFUSED: list[tuple[Any, Any, str]] = [
     (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: give holes="),
     (Metres(), 2000 * (T + 1), "metres.*millimetres"),

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -188,26 +187,30 @@ def test_a_film_is_made_anew_where_the_frame_that_it_is_settled_on_has_changed()
 def test_odd_scenes_are_told_of() -> None:
     save("depth/1.npy", 50 * metres(H, W))
     assert degrade(Recipe(WATER), items(), "blank").blank == ["1.png"]
-    water = RandomWater("7C", contrast=0.4, contrast_by="contents")
-    recipe = Recipe(RandomUnderwater(water))
+    # whatever the water, metres are those of the map
+    recipe = Recipe(RandomUnderwater(RandomWater("7C", contrast=0.4)))
     summary = degrade(recipe, items(), "out")
     (odd,) = summary.odd
-    assert odd.startswith("1.png: a median of ")
+    assert odd.startswith("1.png: pure water leaves less than a contrast of 0.4 at ")
     assert degrade(recipe, items(), "out", resume=True).odd == summary.odd
-    for result in summary.results:
-        reached = read_record(Path(f"out/{result.place}.json"))["reached"]
-        assert result.reached is not None
-        assert reached == result.reached._asdict()
-        assert (reached["contrast"], reached["asked"]) == (0.4, 0.4)
+    for number, result in enumerate(summary.results):
+        record = read_record(Path(f"out/{result.place}.json"))
+        median = float(np.median(np.load(f"depth/{number}.npy")))
+        assert record["clarity"]["metres"] == pytest.approx(median, rel=0.01)
+        assert record["clarity"]["asked"] == 0.4
+        assert (record["lost"], record["odd"]) == (result.lost, result.odd)
+        assert (record["clarity"]["contents"] == 0) == (number == 1)
 
 
-def test_a_named_water_by_lamps_in_metres_is_told_of() -> None:
-    lamps = Light((Lamp((0.4, 0.0, 0.0)),))
-    water = RandomWater("II", contrast=0.01)
-    (odd,) = degrade(Recipe(RandomUnderwater(water, light=lamps)), items()[:1], "a.png").odd
-    assert "water II leaves 0.32 of contrast, not 0.01 at 2.5 m: water.contrast_by=contents" in odd
-    by_contents = RandomUnderwater(replace(water, contrast_by="contents"), light=lamps)
-    assert degrade(Recipe(by_contents), items()[:1], "b.png").odd == []
+@pytest.mark.parametrize("shares, blank", [((0.4, 0.6), ["1.png"]), ((0.5, 0.5), [])])
+def test_a_picture_is_blank_where_most_of_it_is_lost(shares: Any, blank: list[str]) -> None:
+    for number, share in enumerate(shares):
+        z = np.full((H, W), 0.3, np.float32)
+        z[:, : round(share * W)] = 50
+        save(f"depth/{number}.npy", z)
+    summary = degrade(Recipe(RandomUnderwater("9C", light=None)), items()[:2], "out")
+    assert [r.lost for r in summary.results] == pytest.approx(list(shares), abs=0.03)
+    assert summary.blank == blank
 
 
 def test_formats_and_names() -> None:
@@ -286,7 +289,7 @@ def test_a_sheet() -> None:
     waters = ["7C", {"chlorophyll": 17.82, "cdom": 1.5, "minerals": 0.0}]
     record = read_record(Path("out/1.png.json")) | {
         "params": {"samples": [{"applied": True, "water": {"waters": waters}}]},
-        "reached": {"metres": 2.345},
+        "clarity": {"metres": 2.345},
         "contrast": 0.4,
     }
     write_record(Path("other.png.json"), record)

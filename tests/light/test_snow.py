@@ -277,7 +277,7 @@ def test_drawn_anew_for_each_picture_and_moved_in_a_film(waters) -> None:
 
 
 def test_a_seed_is_kept_and_a_film_adds_to_its_drift() -> None:
-    """By as much as distances are scaled, and less the way of the camera."""
+    """Less the way of the camera."""
     snow = replace(SNOW, drift=(0.25, 0.0, 0.0))
     augment = RandomUnderwater(RandomWater(["II", WATER], snow=snow))
     image, z = picture(*SIZE)[0], far().float()[0]
@@ -286,11 +286,9 @@ def test_a_seed_is_kept_and_a_film_adds_to_its_drift() -> None:
         sample = {**drawn, "water": {**drawn["water"], "waters": [name]}, "moved": 0.5}
         sample["motion"] = [0.1, 0.2, 0.3]
         (scene,) = augment.scenes(image, z, {"samples": [sample]}).scenes
-        assert (scene.scale == 1) == (name != "II")
         (snow,) = scene.setting.medium.snow
         assert replace(snow, drift=SNOW.drift) == SNOW
-        ways = np.array([0.4, -0.2, -0.3]) * scene.scale
-        assert snow.drift == pytest.approx(ways + np.array([0.25, 0, 0]))
+        assert snow.drift == pytest.approx((0.65, -0.2, -0.3))
 
 
 @pytest.mark.parametrize(

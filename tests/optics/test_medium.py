@@ -17,9 +17,11 @@ from hypothesis import strategies as st
 from referees import reference
 from scenes import CURVES, Z, coastal
 
-from uwaug import Medium, PointSpread, Water, load_camera
+from uwaug import Lamp, Light, Medium, PointSpread, Water, load_camera
 from uwaug._support import codec
+from uwaug.optics.view import WIDE
 
+FIT = Medium.from_coefficients([0.4, 0.2, 0.1], [0.3, 0.15, 0.1], [0.1, 0.3, 0.4], b_mean=0.2)
 SIGMA = "Sigma SDMerill (NPL)"
 
 
@@ -163,6 +165,31 @@ def test_slices_and_expanded_media() -> None:
     assert (len(wide), len(wide.notes)) == (3, 3)
     assert torch.equal(wide.beta, beta[[1, 1, 1]])
     assert len(list(itertools.islice(medium, 9))) == 4
+
+
+@pytest.mark.parametrize("lamp", [None, Lamp((0.4, -0.3, 0.1), 2.0, (0.1, 0.2, 1.0), 40.0)])
+@pytest.mark.parametrize("make", [lambda: Medium.from_water("3C"), lambda: FIT])
+def test_twice_the_contents_are_half_the_lengths(make: Any, lamp: Lamp | None) -> None:
+    medium, z = make(), torch.linspace(0.3, 4, 12, dtype=torch.float64).reshape(1, 1, 3, 4)
+    wide = medium.with_contents(2.0)
+    torch.testing.assert_close(wide.width(z), medium.width(2 * z))
+    if lamp is None:
+        pairs = zip(wide.curves(z), medium.curves(2 * z), strict=True)
+    else:
+        x, y, forward = lamp.position
+        far = replace(lamp, position=(2 * x, 2 * y, 2 * forward), power=4 * lamp.power)
+        pairs = zip(
+            Light((lamp,), 0.0).curves(wide, z, WIDE),
+            Light((far,), 0.0).curves(medium, 2 * z, WIDE),
+            strict=True,
+        )
+    for ours, wanted in pairs:
+        # sums over the way of a lamp's light are good to half a percent
+        torch.testing.assert_close(
+            ours, wanted, rtol=1e-2 if lamp else 1e-4, atol=1e-4 if lamp else 1e-6
+        )
+    nothing = medium.with_contents(0.0).transmission(z)
+    torch.testing.assert_close(nothing, medium.transmission(0 * z))
 
 
 def test_to_casts_every_tensor_and_keeps_gradients() -> None:

@@ -71,7 +71,6 @@ def twin_of(settings: dict[str, Any]) -> uwaug.RandomUnderwater:
         uwaug.RandomWater(
             water,
             contrast=settings["contrast"],
-            contrast_by="contents",
             vertical_depth=settings["vertical_depth"],
             g=settings["g"],
             mu=settings["mu"],
@@ -142,19 +141,19 @@ def test_waters_are_those_of_the_package(page: Page, every_band: None) -> None:
         maps = page.distance.double() * settings["times"]
         scenes = twin.scenes(page.image, maps, twin.make_params(page.image))
         z, (scene,) = scenes.z, scenes.scenes
-        medium, scale, reached = scene.setting.medium, scene.scale, scene.reached
+        medium = scene.setting.medium
         page.use(settings)
         assert page("water.depth") == pytest.approx(
             float(medium.notes[0].split(", ")[2].split(" m")[0]), rel=1e-5
         )
-        if reached is not None:
-            assert page("water.contents") == pytest.approx(reached.contents, rel=1e-6)
-            assert page("water.scale") == pytest.approx(scale, rel=1e-6)
+        clarity = scene.clarity.record()
+        assert page("water.contents") == pytest.approx(clarity["contents"], rel=1e-6)
+        assert page("water.visibility") == pytest.approx(clarity["visibility"], rel=1e-6)
         size = page("scene.K") + 21
         rows = np.array(page("Array.from(water.table)")).reshape(-1, size)[:, -21:]
         near, step = page("[scene.near, scene.step]")
         places = torch.tensor([0, 100, 500, 900, 1023], dtype=torch.float64)
-        metres = near * torch.exp(places * step) * settings["times"] * scale
+        metres = near * torch.exp(places * step) * settings["times"]
         curves = medium.curves(metres[None, None, None])
         parts = (curves.direct.reshape(9, -1), curves.scatter.reshape(9, -1))
         truth = torch.cat([*parts, curves.veil.reshape(3, -1)]).T

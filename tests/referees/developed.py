@@ -21,15 +21,28 @@ class Camera:
     gamut: float = 0.0
     tone: float = 1.0
 
-    def develop(self, light: Array, looks: Array) -> Array:
+    def develop(self, light: Array, looks: Array, scene: Array | None, burnt: float) -> Array:
         """Light (3xHxW) as the camera shows it.
 
         looks (N): flat indices of the pixels at which it measures.
+        scene: light of the scene, if a meter keeps its luminance.
+        burnt: share of these pixels that may be brighter than white.
         """
-        light = 2**self.exposure * balanced(light, looks, self.white_balance)
+        gain = 2**self.exposure
+        if scene is not None:
+            gain = metered(scene, light, looks, self.exposure, burnt)
+        light = gain * balanced(light, looks, self.white_balance)
         luminance = np.tensordot(LUMINANCE, light, 1)
         light = luminance + self.saturation * (light - luminance)
         return curved(compressed(light, self.gamut), self.tone)
+
+
+def metered(scene: Array, light: Array, looks: Array, stops: float, burnt: float) -> float:
+    """The gain that keeps luminance, some stops brighter, and no more pixels above white."""
+    before, after = (LUMINANCE @ x.reshape(3, -1)[:, looks].mean(1) for x in (scene, light))
+    brightest = np.sort(light.reshape(3, -1)[:, looks].max(0))
+    white = max(brightest[-round(burnt * len(looks))], 1 / 64)
+    return min(2**stops * min(max(before / after, 1 / 8), 64.0), 2 ** min(stops, 0.0) / white)
 
 
 def balanced(light: Array, looks: Array, share: float) -> Array:

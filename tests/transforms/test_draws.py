@@ -26,7 +26,7 @@ from uwaug.transforms.draws import uniform_of
 
 OTHERS: dict[str, dict[str, Any]] = {
     "mu": {"water": RandomWater(mu=(0.02, 0.04))},
-    "contrast": {"water": RandomWater(contrast=None)},
+    "contrast": {"water": RandomWater(contrast=0.3)},
     "field_seed": {"water": RandomWater(field=None)},
     "mixing": {"water": RandomWater(mixing=(0, 1))},
     "color_matrix": {"water": RandomWater(color_matrix=None)},

@@ -44,7 +44,7 @@ def maps(count: int) -> Tensor:
 
 def in_water(water: str, contrast: float) -> Tensor:
     """What stands for a photograph: another picture in one water."""
-    noun = RandomWater(water, contrast=contrast, contrast_by="contents")
+    noun = RandomWater(water, contrast=contrast)
     augment = RandomUnderwater(noun, light=None)
     wet: Tensor = augment.at(0, 0, 6)(pictures(1, 9), maps(1))[0][0]
     return wet
@@ -82,10 +82,10 @@ def test_water_is_kept_and_the_rest_is_drawn_anew() -> None:
     found = uwaug.like(GREEN, pictures(2), augment=augment, **FEW)
     assert not any("seed" in name for kept in found.kept for name in flat(kept))
     samples = [flat(sample) for sample in found.make_params(pictures(40))["samples"]]
-    for name in ("water.contrast", "water.snow.density", "development.noise.full_well"):
+    for name in ("water.clearness", "water.snow.density", "development.noise.full_well"):
         assert len({sample[name] for sample in samples}) == 3
     seeds = ("water.field_seed", "water.snow.seed", "development.noise.seed")
-    for name in (*seeds, "distance.scene", "distance.near"):
+    for name in (*seeds, "distance.scene", "distance.near_left"):
         assert len({sample[name] for sample in samples}) == 40
     assert (found.water, found.development) == (snowy, noisy)
 
@@ -121,7 +121,7 @@ def test_the_same_seed_keeps_the_same_draws() -> None:
 
 def test_each_of_several_photographs_is_kept_for() -> None:
     blue = in_water("II", 0.3)
-    water = RandomWater(["II", "9C"], contrast_by="contents")
+    water = RandomWater(["II", "9C"], contrast=(0.07, 0.4))
     options = {"augment": RandomUnderwater(water), "draws": 180, "keep": 3}
     found = uwaug.like([GREEN, (blue * 255).byte()], list(pictures(4)), maps(4), **options)
     assert len(found.kept) == 6
@@ -132,7 +132,7 @@ def test_each_of_several_photographs_is_kept_for() -> None:
 
 def test_draws_spread_over_all_photographs_and_serve_each_other() -> None:
     blue, red = in_water("II", 0.3), torch.tensor([1.0, 0, 0])[:, None, None].expand(3, H, W)
-    augment = RandomUnderwater(RandomWater(["II", "9C"], contrast_by="contents"))
+    augment = RandomUnderwater(RandomWater(["II", "9C"], contrast=(0.07, 0.4)))
     made = []
 
     class Counting(RandomUnderwater):
@@ -162,7 +162,7 @@ def test_a_verdict_in_words(kept: float, verdict: str) -> None:
 
 
 def test_pictures_that_are_left_alone_are_not_looked_at() -> None:
-    augment = RandomUnderwater(RandomWater("9C", contrast_by="contents"), p=0.0)
+    augment = RandomUnderwater(RandomWater("9C", contrast=(0.07, 0.4)), p=0.0)
     found = uwaug.like(GREEN, pictures(2), maps(2), augment=augment, **FEW)
     assert found.nearness is not None
     assert found.nearness.kept < 1
@@ -216,11 +216,9 @@ def test_what_is_refused(options: dict[str, Any], words: str) -> None:
 
 
 def test_kept_draws_are_draws_of_the_transform() -> None:
-    (drawn,) = UnderwaterLike("9C", kept=[{"water": {"contrast": 0.3}}]).make_params(GREEN)[
-        "samples"
-    ]
-    assert (drawn["water"]["waters"], drawn["water"]["contrast"]) == (["9C"], 0.3)
-    for bad in ({"waters": ["II"]}, {"contrast": 3.0}, {"salt": 3.0}):
+    (drawn,) = UnderwaterLike("9C", kept=[{"water": {"g": 0.3}}]).make_params(GREEN)["samples"]
+    assert (drawn["water"]["waters"], drawn["water"]["g"]) == (["9C"], 0.3)
+    for bad in ({"waters": ["II"]}, {"g": 3.0}, {"salt": 3.0}):
         with pytest.raises(ValueError, match=r"params"):
             UnderwaterLike("9C", kept=[{"water": bad}])
     with pytest.raises(ValueError, match="at least one"):

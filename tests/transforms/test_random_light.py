@@ -20,8 +20,8 @@ NIGHT = RandomLight(share=1.0)
 CLEAR = Medium.from_coefficients((1e-9,) * 3, (1e-9,) * 3, (0.0,) * 3)
 
 
-def lights(random: RandomLight, count: int, metres: float = 3.0, scale: float = 1.0) -> list[Any]:
-    seen = Measured(W, 0.0, 1.0, metres / 2, 2 * metres, metres).scaled(scale)
+def lights(random: RandomLight, count: int, metres: float = 3.0) -> list[Any]:
+    seen = Measured(W, 0.0, 1.0, metres / 2, 2 * metres, metres)
     return [random.of(random.drawn(uniform_of(seed)), seen) for seed in range(count)]
 
 
@@ -91,15 +91,15 @@ def test_the_axes_of_all_lamps_cross_at_the_scene() -> None:
             assert 0.05 * 4 - 1e-9 <= end[1] <= 0.3 * 4 + 1e-9
 
 
-@pytest.mark.parametrize("metres, scale", [(0.5, 2.0), (3.0, 1.0), (40.0, 0.2)])
-def test_lamps_reach_the_scene_however_far_it_is(metres: float, scale: float) -> None:
+@pytest.mark.parametrize("metres", [1.0, 3.0, 8.0])
+def test_lamps_reach_the_scene_however_far_it_is(metres: float) -> None:
     """A white plate at the median distance is as bright as in daylight, in clear water, and a
     quarter as bright by two stops less power.
     """
-    z = torch.full((1, 1, 3, 3), metres * scale, dtype=torch.float64)
+    z = torch.full((1, 1, 3, 3), metres, dtype=torch.float64)
     for stops in (0.0, -2.0):
         random = RandomLight(1.0, power=stops, across=0.0, down=0.0, daylight=0.0, tint=0.0)
-        for light in lights(random, 40, metres, scale):
+        for light in lights(random, 40, metres):
             middle = light.curves(CLEAR, z, WIDE).direct[0, :, 1, 1] / 2**stops
             assert 0.4 < float(middle.min()) <= float(middle.max()) < 1.01
 

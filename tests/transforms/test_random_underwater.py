@@ -31,7 +31,6 @@ from torch import Tensor
 
 import uwaug
 from uwaug import (
-    JERLOV_TYPES,
     Lamp,
     Light,
     MarineSnow,
@@ -50,8 +49,9 @@ from uwaug import (
 from uwaug._support import checks
 from uwaug.distance import Inverse, MadeUp, Metres, Network, Plane, Relative
 from uwaug.distance.doubts import first_maps
+from uwaug.formation.colour import LUMINANCE
 from uwaug.transforms.random_underwater import SEVERITIES
-from uwaug.transforms.random_water import WATERS
+from uwaug.transforms.random_water import VISIBLE, WATERS
 
 
 def mapped(rest: list[Tensor], i: int | None = None) -> Tensor | None:
@@ -137,8 +137,8 @@ def test_tables_as_a_person_writes_them() -> None:
 
 def test_repr_shows_what_differs_from_the_default() -> None:
     assert repr(RandomUnderwater()) == "RandomUnderwater()"
-    aug = RandomUnderwater(RandomWater("3C", contrast=None), distance=(1.0, 2.0))
-    water = "RandomWater(waters='3C', contrast=None)"
+    aug = RandomUnderwater(RandomWater("3C", contrast=0.3), distance=(1.0, 2.0))
+    water = "RandomWater(waters='3C', contrast=0.3)"
     assert repr(aug) == f"RandomUnderwater(water={water}, distance=Plane(distance=(1.0, 2.0)))"
 
 
@@ -177,7 +177,7 @@ def fixed(development: Any = RAW, light: Any = None, **water: Any) -> RandomUnde
 def test_fixed_options_are_an_underwater() -> None:
     """The same picture by the module, of the water that the transform says it takes."""
     water, law = Water.jerlov("3C"), PLAIN["point_spread"]
-    aug = fixed(vertical_depth=2.0, contrast=0.4, contrast_by="contents")
+    aug = fixed(vertical_depth=2.0, contrast=0.4)
     z = 2 + distances().double()
     # of the waters that leave .4 at the median distance, this one
     scaled = water.with_contrast(0.4, float(z.median()))
@@ -194,7 +194,7 @@ def test_no_veil_that_is_drawn_is_brighter_than_a_white_plate() -> None:
     scene = picture(), 1 + distances()
 
     def veil(**options: Any) -> Tensor:
-        aug = RandomUnderwater(RandomWater("II", contrast=None, **options))
+        aug = RandomUnderwater(RandomWater("II", **options))
         record = aug.make_params(picture(), torch.Generator().manual_seed(0))
         (drawn,) = aug.scenes(*scene, record).scenes
         return drawn.setting.medium.curves(torch.tensor([[[[1e4]]]])).veil
@@ -205,14 +205,14 @@ def test_no_veil_that_is_drawn_is_brighter_than_a_white_plate() -> None:
 
 
 def test_a_medium_stays_as_it_is() -> None:
-    aug = RandomUnderwater(RandomWater(FIT, field=None, contrast=0.1), development=RAW)
+    aug = RandomUnderwater(RandomWater(FIT, field=None), development=RAW)
     z = 0.1 + distances()
     expected = Underwater(FIT, (0.1, 1.1))(picture(), z)
     assert (aug(picture(), z)[0] - expected).abs().max() < 1e-4
 
 
 def test_a_field_is_drawn_for_each_picture() -> None:
-    water = RandomWater("II", field=(0.2, 3.0), contrast=None, vertical_depth=1.0)
+    water = RandomWater("II", field=(0.2, 3.0), vertical_depth=1.0)
     aug = RandomUnderwater(water, light=None)
     z = torch.full((1, 24, 33), 3.0)
     params = aug.make_params(picture())
@@ -225,7 +225,7 @@ def test_a_field_is_drawn_for_each_picture() -> None:
 
 def test_deep_and_turbid_waters_are_no_deeper_than_a_meter_makes_up_for() -> None:
     scene = picture(), 1 + distances()
-    water = RandomWater("9C", contrast=None, vertical_depth=100.0)
+    water = RandomWater("9C", vertical_depth=100.0)
     metered = RandomUnderwater(water, light=None)
     assert metered(*scene)[0].mean() > 0.1
     assert metered.make_params(picture())["samples"][0]["water"]["vertical_depth"] == 100
@@ -241,14 +241,9 @@ def test_gradients_pass_to_image_and_distance(kind: Any, light: Light | None) ->
     aug = RandomUnderwater(water, development=RandomDevelopment(color_space=kind), light=light)
     image = (0.2 + 0.6 * torch.rand(3, 3, 5, dtype=torch.float64)).requires_grad_()
     z = (1 + torch.rand(1, 3, 5, dtype=torch.float64)).requires_grad_()
-    generator = torch.Generator().manual_seed(3)
-    record = aug.make_params(image, generator)
-    # water and drawn lamps are scaled to the median distance, which is not followed
-    fixed = replace(aug, water=replace(water, contrast=None))
-    del record["samples"][0]["water"]["contrast"]
-
+    record = aug.make_params(image, torch.Generator().manual_seed(3))
     assert torch.autograd.gradcheck(
-        lambda image, z: fixed.transform(image, z, record), (image, z), atol=1e-5, rtol=1e-3
+        lambda image, z: aug.transform(image, z, record), (image, z), atol=1e-5, rtol=1e-3
     )
 
 
@@ -296,77 +291,111 @@ def test_torch_compile_breaks_the_graph_and_draws_the_same() -> None:
     assert counts["unique_graphs"] == 2  # before and behind the transform
 
 
-@pytest.mark.parametrize("water", ["I", "7C", TANK, "chlorophyll=5,cdom=.3"], ids=str)
-def test_a_grade_of_a_named_water_is_a_distance_in_it(water: Any) -> None:
-    z, medians = torch.full((1, H, W), 3.0), []
-    spectra = load_water(water)
-    options: Any = {"point_spread": PLAIN["point_spread"], "tolerance": 0.002}
-    itself = Medium.from_water(spectra, vertical_depth=0.0, g=0.05, **options)
+WALL, LIT = torch.full((1, H, W), 2.5), Light((Lamp((0.4, 0.0, 0.0)),), 0.3)
+TANK_FIT = load_preset("tank-proposed-1").water.waters
+
+
+@pytest.mark.filterwarnings("ignore:.*are distances metres")
+@pytest.mark.parametrize("light", [None, LIT])
+@pytest.mark.parametrize("water", ["9C", RandomWater(contrast=0.3), FIT, COAST, None], ids=str)
+def test_distances_are_those_of_the_map_in_any_water(water: Any, light: Light | None) -> None:
+    noun = water if isinstance(water, RandomWater) else RandomWater(water)
+    grades = RandomUnderwater(noun, light=light), RandomUnderwater.severity(5, noun, light=light)
+    for times in (0.5, 3.0, 40.0):
+        z = times * (1 + distances(2))
+        for aug in (grade for grade in grades):
+            record = aug.make_params(picture(2))
+            assert torch.equal(aug.scenes(picture(2), z, record).metres, z)
+            plane = replace(aug, distance=Plane(times))
+            scenes = plane.scenes(picture(2), None, plane.make_params(picture(2)))
+            assert scenes.metres.unique().tolist() == [pytest.approx(times)]
+            assert scenes.clarity(1).metres == scenes.scenes[1].setting.span[1]
+            assert scenes.clarity(1).metres == pytest.approx(times)
+
+
+@pytest.mark.parametrize("light", [None, LIT])
+@pytest.mark.parametrize("water", ["II", TANK, "chlorophyll=5,cdom=.3", FIT, TANK_FIT], ids=str)
+def test_a_grade_is_what_is_left_at_the_median_distance(water: Any, light: Light | None) -> None:
+    noun, shares = RandomWater(water, field=None), []
+    by_eye = light is None and not noun.has_media  # without scattered light
     for level, grade in SEVERITIES.items():
-        aug = RandomUnderwater.severity(level, RandomWater(water, **PLAIN), light=None)
+        aug = RandomUnderwater.severity(level, noun, light=light)
         record = aug.make_params(picture())
-        scenes = aug.scenes(picture(), z, record)
-        medians.append(float(scenes.metres[0, 0, 0, 0]))
-        (scene,) = scenes.scenes
-        setting = scene.setting
-        assert spectra.contrast(medians[-1]) == pytest.approx(grade, abs=1e-6)
-        assert setting.span[1] == pytest.approx(3 * scene.scale) == pytest.approx(medians[-1])
-        assert torch.equal(setting.medium.transmission(z), itself.transmission(z))
-        left = aug.contrast_left(picture(), z, record)
-        torch.testing.assert_close(left[0], uwaug.contrast_left(scenes.z[0], itself)[0])
-    assert medians == sorted(medians)
+        shares.append(float(aug.contrast_left(picture(), WALL, record).mean()))
+        if by_eye:
+            made = aug.scenes(picture(), WALL, record).clarity(0).water
+            assert made.contrast(2.5) == pytest.approx(grade, abs=1e-6)
+        else:
+            assert shares[-1] == pytest.approx(grade, abs=0.002)
+    assert shares == sorted(set(shares), reverse=True)
 
 
-@pytest.mark.parametrize("water, metres", [("I", 100.0), ("chlorophyll=1e3,minerals=1e3", 0.1)])
-def test_no_scene_is_nearer_than_a_lens_or_farther_than_one_sees(water: str, metres: float) -> None:
-    aug = RandomUnderwater(RandomWater(water, contrast=1e-3 if metres > 1 else 0.9, field=None))
-    scenes = aug.scenes(picture(), torch.full((1, H, W), 3.0), aug.make_params(picture()))
-    torch.testing.assert_close(scenes.metres, torch.full_like(scenes.metres, metres))
+def test_a_scene_that_is_made_up_is_the_same_at_every_grade() -> None:
+    grades = [RandomUnderwater.severity(level, distance=MadeUp()) for level in SEVERITIES]
+    for key in range(3):
+        made = [
+            grade.scenes(
+                picture(), None, grade.make_params(picture(), grade.generator_of(0, 0, key))
+            ).metres
+            for grade in grades
+        ]
+        assert all(torch.equal(other, made[0]) for other in made)
 
 
-KNOBS: dict[str, tuple[Any, str]] = {
-    "drawn contents": (COAST, "contents"),
-    "a type by contents": (RandomWater("7C", contrast_by="contents"), "contents"),
-    "a type": ("7C", "distance"),
-    "spectra": ([TANK, "chlorophyll=5"], "distance"),
-    "two types": (RandomWater(["II", "7C"], mixing=(0.0, 1.0)), "distance"),
-    "drawn contents by distance": (RandomWater(COAST, contrast_by="distance"), "distance"),
-}
+@pytest.mark.parametrize("water", ["II", TANK, COAST, RandomWater(["I", COAST], mixing=0.5), None])
+def test_a_visibility_is_reached_at_any_distance(water: Any) -> None:
+    noun = water if isinstance(water, RandomWater) else RandomWater(water)
+    aug = RandomUnderwater(replace(noun, visibility=(3.0, 9.0)))
+    for times in (1.0, 30.0):
+        record = aug.make_params(picture(4))
+        scenes = aug.scenes(picture(4), times * WALL.expand(4, 1, H, W), record)
+        for i, sample in enumerate(record["samples"]):
+            asked, found = sample["water"]["visibility"], scenes.clarity(i).record()["visibility"]
+            assert 3 <= asked <= 9
+            assert found == pytest.approx(asked, rel=1e-6)
 
 
-@pytest.mark.parametrize("light", [None, Light(daylight=0.5), Light((Lamp(),), 0.5)])
-@pytest.mark.parametrize("name", KNOBS)
-def test_by_what_a_contrast_is_reached(name: str, light: Light | None) -> None:
-    water, by = KNOBS[name]
-    aug = RandomUnderwater(water, light=light)
-    z = torch.full((1, H, W), 0.5)
-    record = aug.make_params(picture())
-    reached = aug.scenes(picture(), z, record).reached(0)
-    assert (reached.by, reached.contents != 1) == (by, by == "contents")
-    lamps = light is not None and bool(light.lamps)
-    assert (reached.scale != 1) == (not lamps)
-    if not lamps or by == "contents":
-        assert reached.contrast == pytest.approx(record["samples"][0]["water"]["contrast"])
+@pytest.mark.parametrize("metres", [0.3, 1.5, 4.0])
+def test_default_waters_let_one_see_so_many_median_distances(metres: float) -> None:
+    aug, z = RandomUnderwater(light=None), torch.full((32, 1, H, W), metres)
+    record = aug.make_params(picture(32), torch.Generator().manual_seed(0))
+    scenes, ends = aug.scenes(picture(32), z, record), (VISIBLE[0] * metres, VISIBLE[1] * metres)
+    natural = []
+    for i, sample in enumerate(record["samples"]):
+        (drawn,), clearness = sample["water"]["waters"], sample["water"]["clearness"]
+        wanted = ends[0] * (ends[1] / ends[0]) ** clearness
+        if isinstance(drawn, str):
+            natural.append(load_water(drawn).visibility())
+            wanted = min(max(natural[-1], ends[0]), ends[1])
+        found = scenes.clarity(i).record()
+        assert found["visibility"] == pytest.approx(wanted, rel=1e-3)
+        if wanted in natural:
+            assert found["contents"] == pytest.approx(1, rel=1e-3)
+    assert 0 < len(natural) < 32
 
 
-LIT = Light((Lamp(),), 0.5)
-
-
-@pytest.mark.parametrize(
-    "water, light",
-    [(RandomWater(), None), (RandomWater(), LIT), (RandomWater(["II", COAST], mixing=0.5), None)],
-)
-def test_types_stay_themselves_where_neither_lamps_nor_contents_forbid_it(
-    water: RandomWater, light: Light | None
+@pytest.mark.parametrize("distance", [Relative(), Inverse(), MadeUp()])
+@pytest.mark.parametrize("water", ["II", "5C", FIT, None], ids=str)
+def test_a_scene_without_a_size_ends_where_its_water_leaves_so_much(
+    water: Any, distance: Any
 ) -> None:
-    aug, z = RandomUnderwater(water, light=light), 2 + distances(16)
-    record = aug.make_params(picture(16), torch.Generator().manual_seed(0))
-    scenes = aug.scenes(picture(16), z, record).scenes
-    drawn = [sample["water"]["waters"] for sample in record["samples"]]
-    types = [all(water in JERLOV_TYPES for water in waters) for waters in drawn]
-    by_distance = [scene.reached.by == "distance" for scene in scenes]
-    assert by_distance == [light is None and type for type in types]
-    assert 0 < sum(types) < 16
+    aug, t = RandomUnderwater(RandomWater(water, field=None), distance=distance), distances(8)
+    t.flatten(1)[:, 0], t.flatten(1)[:, 1] = 0.0, 1.0
+    record = aug.make_params(picture(8), torch.Generator().manual_seed(1))
+    for sample in record["samples"]:
+        sample["distance"] |= {"near_left": 0.75, "far_left": 0.04}
+    scenes = aug.scenes(picture(8), t if distance.reads_maps else None, record)
+    for i, metres in enumerate(scenes.metres):
+        water = scenes.clarity(i).water
+        z = torch.stack([metres.min(), metres[metres.isfinite()].max()])
+        if isinstance(water, Medium):
+            near, far = (
+                torch.tensor(LUMINANCE) @ water.transmission(z[:, None, None, None])[..., 0, 0].mT
+            )
+        else:
+            near, far = (water.contrast(float(end)) for end in z)
+        assert near == pytest.approx(0.75, abs=0.1 if distance == MadeUp() else 0.002)
+        assert far == pytest.approx(0.04, abs=0.1 if distance == MadeUp() else 0.002)
 
 
 METERED = RandomDevelopment(**{**RandomDevelopment.PLAIN, "metered": True, "tone": 1.2})
@@ -380,7 +409,7 @@ FIXED = {
     "lamps": fixed(light=Light((Lamp((0.3, 0.0, -0.5), 2.0),), 0.5)),
     "never a lamp": fixed(light=RandomLight(share=0.0, pitch=None)),
     "a pitch": fixed(light=RandomLight(share=0.0, pitch=10.0)),
-    "medium": fixed(waters=FIT, contrast=0.1),
+    "medium": fixed(waters=FIT),
     "plane": replace(fixed(), distance=3.0),
     "linear": fixed(replace(RAW, color_space="linear")),
     **{name: load_preset(name) for name in ("calibrated", "survey", "tank-proposed-1")},
@@ -452,7 +481,7 @@ def test_a_medium_has_its_own_daylight_unless_lamps_are_asked_for() -> None:
 
 @pytest.mark.usefixtures("nothing_is_said")
 def test_says_once_where_nothing_is_left_to_see() -> None:
-    aug = RandomUnderwater(RandomWater("9C", contrast=None, field=None))
+    aug = RandomUnderwater(RandomWater("9C", field=None))
     with pytest.warns(UserWarning, match=r"less than 3 % .* median distance 50 m: are distances"):
         aug(picture(), torch.full((1, 24, 33), 50.0))
     aug(picture(), torch.full((1, 24, 33), 50.0))  # silent: a warning would be an error
@@ -477,42 +506,13 @@ def test_open_water(host: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     assert RandomUnderwater()(picture(2), z)[0].isfinite().all()
 
 
-LAMP = Light([Lamp((0.2, 0.0, 0.0))])
-
-
-@HOSTS
-@pytest.mark.parametrize("share", [0.0, 1.0])
-def test_distances_are_scaled_to_where_water_has_a_colour(
-    share: float, host: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(checks, "on_host", lambda x: host)
-    water = RandomWater(contrast_by="contents")
-    aug, z = RandomUnderwater(water, light=RandomLight(share)), 0.5 + distances(3)
-    z[..., 4:-4, :] = 1.0  # the median, whichever pixels are looked at
-    z[..., :3, :3] = math.inf
-    record = aug.make_params(picture(3))
-    for metres, size in ((32.0, 8.0), (0.25, 1.0), (3.0, 3.0)):
-        made, expected = (aug.transform(picture(3), k * z, record) for k in (metres, size))
-        assert torch.equal(made, expected)
-        scenes = aug.scenes(picture(3), metres * z, record).scenes
-        assert [scene.scale for scene in scenes] == 3 * [size / metres]
-
-
-BY_CONTENTS = RandomWater(contrast_by="contents")
-TOO_CLEAR = RandomWater("I", contrast=0.4, contrast_by="contents")
-CLEAR = RandomWater("chlorophyll=.01", contrast=0.2, contrast_by="contents")
 ODD: list[tuple[RandomWater, Light | None, float, str]] = [
-    (BY_CONTENTS, None, 350.0, "350 m is scaled by 0.0229: are distances metres?"),
-    (BY_CONTENTS, None, 0.0035, "0.0035 m is scaled by 286: are distances metres?"),
-    (TOO_CLEAR, None, 3.0, "water I is too clear for 0.4 at 3 m: that is"),
-    (CLEAR, None, 2.0, "=0.01 is too clear for 0.2 at 2 m.*a more turbid one; water.contrast=None"),
-    (
-        RandomWater(COAST, contrast=0.9),
-        LAMP,
-        30.0,
-        "pure water leaves 0.16 of contrast, not 0.9 at 30 m",
-    ),
-    (RandomWater("II", contrast=0.9), LAMP, 4.0, "II leaves 0.16 of contrast, not 0.9 at 4 m"),
+    (RandomWater("I", contrast=0.4), None, 3.0, "of I, for a contrast of 0.4 at 3 m: name a more"),
+    (RandomWater("I", contrast=0.1), LIT, 0.5, "of I, for a contrast of 0.1 at 0.5 m: name a more"),
+    (RandomWater("chlorophyll=.01", visibility=2.0), None, 0.5, "=0.01.*: name a more turbid"),
+    (RandomWater(COAST, contrast=0.9), None, 30.0, "pure water leaves less than a contrast of 0.9"),
+    (RandomWater(COAST, contrast=0.9), LIT, 30.0, "0.9 at 30 m: are distances metres?"),
+    (RandomWater("II", visibility=200.0), None, 4.0, "pure water leaves less"),
 ]
 
 
@@ -533,13 +533,14 @@ def test_says_once_that_a_water_is_none(
 @pytest.mark.usefixtures("nothing_is_said")
 @pytest.mark.parametrize("metres", [0.3, 1.0, 3.0, 8.0, 30.0])
 def test_default_draws_are_waters(metres: float) -> None:
-    """None is odd, at any contrast that is drawn: a warning would be an error."""
+    """None is odd, however clear: a warning would be an error."""
     aug, z = RandomUnderwater(), torch.full((1, H, W), metres)
     params = aug.make_params(picture())
     (sample,) = params["samples"]
-    for water in (water for water in WATERS if isinstance(water, str)):
-        for contrast in (0.08, 0.9):
-            sample["water"] |= {"waters": [water], "contrast": contrast}
+    for water in WATERS:
+        drawn = water if isinstance(water, str) else water.drawn(lambda name: 0.5)
+        for clearness in (0.0, 1.0):
+            sample["water"] |= {"waters": [drawn], "clearness": clearness}
             aug.scenes(picture(), z, params)
 
 
@@ -556,7 +557,8 @@ REFUSED_OPTIONS: dict[str, Any] = {
     "mixing needs spectra": lambda: RandomWater(["II", FIT], mixing=(0, 1)),
     "must be a uwaug.PointSpread": lambda: RandomWater(point_spread=3.0),
     "no camera is called so": lambda: RandomWater(camera="obscura"),
-    "must be one of contents, distance": lambda: RandomWater(contrast_by="depth"),
+    "visibility and contrast both": lambda: RandomWater(visibility=4.0, contrast=0.3),
+    "visibility must be a number or a range": lambda: RandomWater(visibility=0.0),
     "unexpected keyword argument 'contrast'": lambda: RandomUnderwater("II", contrast=0.2),
     r"p must be in \[0, 1\]": lambda: RandomUnderwater(p=2.0),
     r"names of image and map, got \['a'\]": lambda: RandomUnderwater(keys=["a"]),
@@ -566,7 +568,6 @@ REFUSED_OPTIONS: dict[str, Any] = {
     "tone must be": lambda: RandomDevelopment(tone=9.0),
     "light must be a .*RandomLight, got float; or a": lambda: RandomUnderwater(light=3.0),
     "level must be a whole number from 1 to 5": lambda: RandomUnderwater.severity(6),
-    "a Medium stays as it is": lambda: RandomUnderwater.severity(1, FIT),
     "no 'waters'.*mean water": lambda: RandomUnderwater.from_dict({"waters": "II"}),
 }
 
@@ -608,7 +609,7 @@ def test_refused_inputs(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 ALL_DRAWN = RandomUnderwater(
-    RandomWater(["II", COAST], snow=MarineSnow((500, 5000))),
+    RandomWater(["II", COAST], contrast=(0.2, 0.4), snow=MarineSnow((500, 5000))),
     distance=Relative((0.5, 1.0), 5.0),
     light=RandomLight(share=1.0),
     development=RandomDevelopment(noise=Sensor(2000.0)),
@@ -686,7 +687,7 @@ def test_a_network_in_place_of_maps() -> None:
 
 def test_lamps_shine_at_any_depth() -> None:
     lamps = Light((Lamp((0.3, -0.2, 0.0), power=4.0),))
-    water = RandomWater("II", vertical_depth=200.0, contrast=None)
+    water = RandomWater("II", vertical_depth=200.0)
     scene = picture(), 1 + distances()
     assert RandomUnderwater(water, development=RAW, light=None)(*scene)[0].max() < 0.01
     aug = RandomUnderwater(water, development=RAW, light=lamps)
