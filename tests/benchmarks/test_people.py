@@ -10,15 +10,19 @@ def test_a_cut_out_lies_at_one_distance_before_what_it_hides() -> None:
     log = np.linspace(2, 0, 96)[:, None].repeat(128, 1)
     maps = (np.zeros((96, 128, 3), np.uint8), log, log > 1.8, np.ones((96, 128)))
     cut = np.full((60, 20, 4), 255, np.uint8)
-    for stands in (False, True):
-        rgb, changed, is_open, weight = people.pasted(rng, maps, cut, stands)
-        there = changed != log
-        assert there.sum() > 100
+    found = 0
+    for draw in range(20):
+        rgb, changed, is_open, weight = people.pasted(rng, maps, cut, stands=draw % 2 == 0)
+        there = weight > 1
+        if not there.any():  # it had no place
+            continue
+        found += 1
         assert np.ptp(changed[there]) == 0
-        assert (changed <= log + 0.05).all()
+        assert (changed[there] <= log[there] + 0.05).all()
+        assert (changed[~there] == log[~there]).all()
         assert (rgb[there] > 0).all()
         assert not is_open[there].any()
-        assert (weight[there] > 1).all()
+    assert found > 10
 
 
 def test_who_was_chosen() -> None:
