@@ -2,7 +2,7 @@
 
 import json
 from contextlib import suppress
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -21,16 +21,18 @@ def list_() -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from uwaug.distance import Relative
     from uwaug.presets import load_preset
 
     table = Table("name", "distance (m)", "γ", "field", "what", box=None, pad_edge=False)
     for name in list_presets():
         preset = load_preset(name)
         low, high = preset.water.field or (1.0, 1.0)
-        source: Any = preset.distance
+        source, ends, gamma = preset.distance, "of maps", ""
+        if isinstance(source, Relative):
+            ends, gamma = f"{source.near:g}–{source.far:g}", f"{source.gamma:g}"
         title = preset_path(name).read_text(encoding="utf-8").partition("\n")[0].lstrip("# ")
-        ends = f"{source.near:g}–{source.far:g}"
-        table.add_row(name, ends, f"{source.gamma:g}", f"{low:g}–{high:g}", title)
+        table.add_row(name, ends, gamma, f"{low:g}–{high:g}", title)
     # a line for each, that a script can read, however narrow the terminal
     Console(width=_TABLE_COLUMNS).print(table)
 

@@ -39,9 +39,9 @@ class MadeUp(Placed):
     """Distances made up from each picture alone, drawn anew each time: no maps are needed.
 
     A small network in the package guesses what is nearer than what, and where open water is, such
-    as sky. An exponent, a smooth field, and the presence of open water (in three of four) are
-    drawn. That teaches that water hides far things more than near ones. It is no truth to restore
-    or measure by.
+    as sky. An exponent, a smooth field, and the presence of open water (in three of four), at the
+    far end, are drawn. That teaches that water hides far things more than near ones. It is no
+    truth to restore or measure by.
 
     Attributes:
         near, far: see `Placed`; near above 0.
@@ -77,18 +77,13 @@ class MadeUp(Placed):
         small = _varied(log, is_open, rng).astype(np.float32)
         lines = _guided(small, guide)
         lines[:3] /= white
-        # regression overshoots: without open water nothing lies beyond 1
-        depth = _enlarged(lines, image, float(small.max()))
         near, far = drawn["near"], drawn["far"]
-        z = depth.clamp(max=1).mul_(math.log(far / near)).exp_().mul_(near)
-        if small.max() > 1:
-            # open water begins at 1.05 and is endless from 1.95: regression meets neither end
-            z.div_(depth.neg_().add_(1.95).div_(0.9).clamp_(0, 1))
+        z = _enlarged(lines, image).mul_(math.log(far / near)).exp_().mul_(near)
         return z[None].to(torch.promote_types(image.dtype, torch.float32))
 
 
 def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
-    """Draw relative distances (HxW), alike to the left and the right: 0 near, 1 far, 2 open water;
+    """Draw relative distances (HxW), alike to the left and the right: 0 near, 1 far, as open water;
     from their logarithms, up to scale and shift, and probabilities of open water.
     """
     height, width = log.shape
@@ -107,7 +102,7 @@ def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
     for down, across, phase in zip(*rng.normal(0, 3, (3, 4)), strict=True):
         depth = depth + rng.uniform(0, 0.06) * np.cos(down * y + phase) * np.cos(across * x)
     depth = np.clip(depth, 0, 1)
-    return depth + (2 - depth) * openness
+    return depth + (1 - depth) * openness
 
 
 def _guided(values: Floats, colours: Floats) -> Floats:
@@ -144,18 +139,18 @@ def _box(size: int) -> Floats:
     return box
 
 
-def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
-    """Put the colours of a picture (3xHxW) into `lines` (4xhxw), brought to its size; 0…highest."""
+def _enlarged(lines: Floats, picture: Tensor) -> Tensor:
+    """Put the colours of a picture (3xHxW) into `lines` (4xhxw), brought to its size; 0…1."""
     is_read = picture.is_cpu and picture.dtype in (torch.uint8, torch.float32)
     if is_read and wanted() and (loop := _compiled()):
         result = np.empty(picture.shape[1:], np.float32)
         places = [_places(*sides) for sides in zip(lines.shape[1:], picture.shape[1:], strict=True)]
-        loop(lines, picture.numpy(), *places, np.float32(highest), result)
+        loop(lines, picture.numpy(), *places, result)
         return torch.from_numpy(result)
     weights = torch.from_numpy(lines).to(picture.device)[None]
     large = interpolate(weights, picture.shape[1:], mode="bilinear")[0]
     large[:3].mul_(picture)
-    return large.sum(0).clamp_(0, highest)
+    return large.sum(0).clamp_(0, 1)
 
 
 def _places(small: int, large: int) -> tuple[Any, Floats]:
@@ -174,7 +169,7 @@ def _compiled() -> Any:
         return None
 
 
-def _enlarge(lines: Any, picture: Any, rows: Any, columns: Any, highest: Any, out: Any) -> None:
+def _enlarge(lines: Any, picture: Any, rows: Any, columns: Any, out: Any) -> None:
     height, width = out.shape
     last = lines.shape[1] - 1
     for i in range(height):
@@ -188,4 +183,4 @@ def _enlarge(lines: Any, picture: Any, rows: Any, columns: Any, highest: Any, ou
             for c in range(3):
                 slope = line[c, before] + across * step[c, before]
                 value += slope * np.float32(picture[c, i, j])
-            out[i, j] = min(max(value, np.float32(0)), highest)
+            out[i, j] = min(max(value, np.float32(0)), np.float32(1))

@@ -109,7 +109,8 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
                 if z is not None:
                     (draw,) = recipe.drawn(item.name, 0)["samples"]
                     rays = recipe.transform.view.planar(image.shape[-1])
-                    source.metres(z, image, draw["distance"], **rays)
+                    placed = source.placed(draw["distance"], lambda left: 1 / left)  # anywhere
+                    source.metres(z, image, placed, **rays)
                     if isinstance(source, Metres) and source.holes == "error":
                         _require_range(z)
             except Exception as error:

@@ -58,6 +58,7 @@ PLACED_M = 2.0
 # times what is in a water, from which on is warned: the clearest of `WATERS` need 42 for the
 # severest grade at 1 m
 MOST_CONTENTS = 50.0
+_LEAST_CONTENTS = 1e-3  # share of it that stays where pure water is too murky already
 _MOST_STOPS, _HALVINGS = 12.0, 16  # of contents that are looked for under lamps
 _WALL_PX = (12, 16)  # of a wall at the median distance, under lamps
 
@@ -88,12 +89,12 @@ class Clarity(NamedTuple):
     @property
     def odd(self) -> str:
         """A sentence if the water is hardly the one named, or too murky when pure; else ""."""
-        asked = f"a contrast of {self.asked:.2g} at {self.metres:.3g} m" if self.asked else "it"
         if self.contents > MOST_CONTENTS:
-            return f"{self.name}, for {asked}: name a more turbid water"
-        return (
-            "" if self.contents else f"pure water leaves less than {asked}: are distances metres?"
-        )
+            return f"{self.name} is hardly the water that was named: take a more turbid one"
+        if self.asked and self.contents == 0:
+            asked = f"a contrast of {self.asked:.2g} at {self.metres:.3g} m"
+            return f"pure water leaves less than {asked}: are distances metres?"
+        return ""
 
 
 class PictureWater(NamedTuple):
@@ -162,9 +163,9 @@ class RandomWater(Noun):
     visibility: Range | None = number(None, 1e-3, 1e3, logarithmic=True)
     contrast: Range | None = number(None, 1e-3, 1.0, logarithmic=True)
     mixing: Range = number(0.0, *DOMAIN["mixing"])
-    vertical_depth: Range = number((0.7, 10.0), *DOMAIN["vertical_depth"])
+    vertical_depth: Range = number((1.0, 10.0), *DOMAIN["vertical_depth"])
     g: Range = number(0.05, *DOMAIN["g"])
-    mu: Range | None = number((0.012, 0.055), *DOMAIN["mu"])
+    mu: Range | None = number((0.022, 0.06), *DOMAIN["mu"])
     point_spread: PointSpread | None = None
     field: tuple[float, float] | None = (0.8, 1.2)
     camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)"
@@ -268,7 +269,7 @@ class RandomWater(Noun):
                 visibility = min(max(water.visibility(), least), most)
         if visibility is None:
             return water, 1.0
-        contents = _contents(water, CONTRAST_THRESHOLD, visibility)
+        contents = max(_contents(water, CONTRAST_THRESHOLD, visibility), _LEAST_CONTENTS)
         return water.with_contents(contents), contents
 
     def of(
@@ -374,8 +375,8 @@ def _contents(water: Water, contrast: float, metres: float) -> float:
     """Factor of what is in a water that leaves this contrast at a distance [m] by daylight."""
     contents = water.contents_for(contrast, metres)
     if math.isinf(contents):
-        cure = "draw from waters that have something in them, or give no contrast"
-        raise ValueError(f"contrast: {water.name!r} is nothing but pure water to the eye: {cure}")
+        cure = "draw from waters that have something in them, or give no contrast or visibility"
+        raise ValueError(f"waters: {water.name!r} is nothing but pure water to the eye: {cure}")
     return contents
 
 
