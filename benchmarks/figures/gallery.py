@@ -128,7 +128,7 @@ def detection() -> Image.Image:
 
     cells = [(framed(image, numbers), f"in air: {len(boxes)} fish")]
     for contrast in (0.7, 0.4, 0.2, 0.1, 0.05):
-        water = RandomWater("3C", contrast=contrast, contrast_by="contents", vertical_depth=3)
+        water = RandomWater("3C", contrast=contrast, vertical_depth=3)
         augment = RandomUnderwater(water, light=None, development=camera)
         target = {"boxes": boxes, "labels": numbers}
         torch.manual_seed(0)

@@ -40,12 +40,12 @@ the spread of the field about 1; the full well of the sensor.
 def values() -> dict[str, tuple[Any, ...]]:
     """Five values of each, from the least to the largest that a default draw has."""
     water = RandomWater()
-    ranges = {name: getattr(water, name) for name in ("contrast", "vertical_depth", "color_matrix")}
+    ranges = {name: getattr(water, name) for name in ("vertical_depth", "color_matrix")}
     five = {}
     for name, ends in {**ranges, **RandomDevelopment().ranges()}.items():
         assert isinstance(ends, tuple)
         five[name] = tuple(torch.linspace(*ends, STEPS).tolist())
-    sources = {f"distance.{name}": getattr(MadeUp(), name) for name in ("near", "far")}
+    sources = {"contrast": (0.6, 0.07), "distance.near": (0.3, 2.5), "distance.far": (3.0, 12.0)}
     lights = ("power", "cone", "tint", "daylight")
     lamps = {f"light.{name}": getattr(RandomLight(), name) for name in lights}
     for name, (low, high) in {**sources, **lamps}.items():
@@ -62,7 +62,6 @@ def transform(name: str, value: Any, width: int) -> RandomUnderwater:
     water: dict[str, Any] = {
         "waters": WATER,
         "contrast": 0.4,
-        "contrast_by": "contents",
         "vertical_depth": 4.0,
         "field": None,
         "color_matrix": 0.4,

@@ -50,7 +50,6 @@ def twin(water: str, settings: dict[str, float]) -> uwaug.RandomUnderwater:
         uwaug.RandomWater(
             water,
             contrast=settings["contrast"],
-            contrast_by="contents",
             vertical_depth=settings["vertical_depth"],
             mu=camera["mu"],
             field=None,

@@ -115,17 +115,11 @@ def test_without_numba_it_is_the_same(size, white, monkeypatch) -> None:
         torch.testing.assert_close(z, made(image, scene), rtol=1e-4, atol=0)
 
 
-def test_the_sky_is_open_water_in_three_of_four() -> None:
-    z = [made(landscape(), scene) for scene in SCENES]
-    share = torch.stack([one.isinf()[0, :80].float().mean() for one in z])
-    assert 12 <= int((share > 0.8).sum()) <= 23
-    assert bool(((share > 0.8) | (share == 0)).all())
-    assert all(bool(one[0, 150:].isfinite().all()) for one in z)
-
-
-def test_a_cat_has_no_open_water_and_is_nearer_than_what_is_behind() -> None:
-    for scene in SCENES:
-        assert bool(made(cat(), scene).isfinite().all())
+def test_the_sky_lies_at_the_far_end_in_three_of_four() -> None:
+    z = torch.stack([made(landscape(), scene)[0] for scene in SCENES])
+    at_far_end = (z[:, :80] > 0.999 * z.amax((1, 2), keepdim=True)).float().mean((1, 2))
+    assert 12 <= int((at_far_end > 0.8).sum()) <= 23
+    assert float((z[:, 150:] > 0.9 * z.amax()).float().mean()) < 0.1
 
 
 def test_what_is_plain_has_no_steps() -> None:

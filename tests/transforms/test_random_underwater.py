@@ -507,12 +507,12 @@ def test_open_water(host: bool, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 ODD: list[tuple[RandomWater, Light | None, float, str]] = [
-    (RandomWater("I", contrast=0.4), None, 3.0, "of I, for a contrast of 0.4 at 3 m: name a more"),
-    (RandomWater("I", contrast=0.1), LIT, 0.5, "of I, for a contrast of 0.1 at 0.5 m: name a more"),
-    (RandomWater("chlorophyll=.01", visibility=2.0), None, 0.5, "=0.01.*: name a more turbid"),
-    (RandomWater(COAST, contrast=0.9), None, 30.0, "pure water leaves less than a contrast of 0.9"),
+    (RandomWater("I", contrast=0.4), None, 3.0, "of I is hardly the water that was named"),
+    (RandomWater("I", contrast=0.1), LIT, 0.5, "of I is hardly the water that was named"),
+    (RandomWater("chlorophyll=.01", visibility=2.0), None, 0.5, "=0.01.* hardly the water"),
+    (RandomWater(COAST, contrast=0.9), None, 30.0, "pure water has less than a contrast of 0.9"),
     (RandomWater(COAST, contrast=0.9), LIT, 30.0, "0.9 at 30 m: are distances metres?"),
-    (RandomWater("II", visibility=200.0), None, 4.0, "pure water leaves less"),
+    (RandomWater("II", visibility=200.0), None, 4.0, "less than the visibility at 4 m"),
 ]
 
 

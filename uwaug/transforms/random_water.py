@@ -91,9 +91,9 @@ class Clarity(NamedTuple):
         """A sentence if the water is hardly the one named, or too murky when pure; else ""."""
         if self.contents > MOST_CONTENTS:
             return f"{self.name} is hardly the water that was named: take a more turbid one"
-        if self.asked and self.contents == 0:
-            asked = f"a contrast of {self.asked:.2g} at {self.metres:.3g} m"
-            return f"pure water leaves less than {asked}: are distances metres?"
+        if self.contents == 0:
+            asked = f"a contrast of {self.asked:.2g}" if self.asked else "the visibility"
+            return f"pure water has less than {asked} at {self.metres:.3g} m: are distances metres?"
         return ""
 
 
@@ -261,15 +261,16 @@ class RandomWater(Noun):
         water, *second = map(self._spectra, draw["waters"])
         if second:
             water = water.mix(second[0], draw["mixing"])
-        visibility = draw.get("visibility")
+        visibility, least_contents = draw.get("visibility"), 0.0
         if "clearness" in draw and math.isfinite(median):
+            least_contents = _LEAST_CONTENTS
             least, most = (count * median for count in VISIBLE)
             visibility = least * (most / least) ** draw["clearness"]
             if isinstance(first, str):
                 visibility = min(max(water.visibility(), least), most)
         if visibility is None:
             return water, 1.0
-        contents = max(_contents(water, CONTRAST_THRESHOLD, visibility), _LEAST_CONTENTS)
+        contents = max(_contents(water, CONTRAST_THRESHOLD, visibility), least_contents)
         return water.with_contents(contents), contents
 
     def of(
