@@ -191,7 +191,7 @@ def test_odd_scenes_are_told_of() -> None:
     recipe = Recipe(RandomUnderwater(RandomWater("7C", contrast=0.4)))
     summary = degrade(recipe, items(), "out")
     (odd,) = summary.odd
-    assert odd.startswith("1.png: pure water leaves less than a contrast of 0.4 at ")
+    assert odd.startswith("1.png: pure water has less than a contrast of 0.4 at ")
     assert degrade(recipe, items(), "out", resume=True).odd == summary.odd
     for number, result in enumerate(summary.results):
         record = read_record(Path(f"out/{result.place}.json"))

@@ -29,7 +29,7 @@ Holes = _Policy | float
 depth cameras (see `fill_unknown`); open water; or a number of metres.
 """
 
-NEAR_LEFT, FAR_LEFT = (0.35, 0.75), (0.005, 0.05)
+NEAR_LEFT, FAR_LEFT = (0.25, 0.65), (0.005, 0.05)
 """Shares of contrast that a water leaves at the ends of a scene that is placed in it."""
 
 _NEAREST_M = 0.1, 2.5  # between which the near end is placed: one stands where one can see
@@ -127,8 +127,8 @@ class Placed(Source):
     clear water large ones.
 
     Attributes:
-        near, far: ends of the scene, m; numbers or (low, high). None: where the water leaves .35
-            to .75 of the contrast, from .1 to 2.5 m; and .005 to .05.
+        near, far: ends of the scene, m; numbers or (low, high). None: where the water leaves .25
+            to .65 of the contrast, from .1 to 2.5 m; and .005 to .05.
     """
 
     near: Range | None = number(None, 0.0)
