@@ -188,9 +188,9 @@ def _gains(scenes: Sequence[_Scene], development: Development) -> Array:
     else:
         balance = float(development.white_balance)
     camera = float(development.exposure), bool(development.metered), balance, factors
-    saturation = float(development.saturation)
+    colour = float(development.saturation), bool(development.gamut > 0)
     if not development.measures:
-        return gain_at(np.zeros((3, 3)), 0.0, *camera, saturation)[None]
+        return gain_at(np.zeros((3, 3)), 0.0, *camera, *colour)[None]
     matrices = []
     for scene in scenes:
         height, width = scene.z.shape
@@ -201,7 +201,7 @@ def _gains(scenes: Sequence[_Scene], development: Development) -> Array:
         means = kernels.meter(*inputs)
         burnt = round(BURNT * METERED)
         highlight = float(np.partition(brightness, -burnt)[-burnt])
-        matrices.append(gain_at(means, highlight, *camera, saturation))
+        matrices.append(gain_at(means, highlight, *camera, *colour))
     return np.stack(matrices)
 
 

@@ -46,9 +46,8 @@ TOE = 1e-4  # light below which tone is straight: less contrast is infinitely st
 # within 1 %. (A grid of every fourth pixel is off by 10 % at 16 px.)
 METERED = 8192
 BURNT = 0.02  # share of the metered pixels that may burn out
-# CIE chroma at L* = 0, and more of it by L*: mean colours of 99.5 % of 342 photographs stay below,
-# and a saturation above 1 takes a metered picture no farther
-CHROMA = (36.0, 0.45)
+# CIE chroma at L* = 0, and more of it by L*: mean colours of 97 % of 342 photographs stay below
+CHROMA = (30.0, 0.4)
 # from linear sRGB to X/X_n, Y, Z/Z_n of D65 (IEC 61966-2-1)
 _XYZ = ((0.4339, 0.3762, 0.1899), LUMINANCE, (0.0178, 0.1095, 0.8727))
 _LEAST_LIGHT = 1e-4  # of a channel, as cube roots have no slope at 0
@@ -76,11 +75,11 @@ class Development:
         exposure: −10…10 stops; or "auto", which stands for 0 stops, metered.
         white_balance: share of a grey-world correction, up to 1, which keeps luminance; 0 and less
             for none. Or three factors of the channels, as of a camera that was set.
-        saturation: 0 for grey, 1 to leave colours as they are, up to 4. If metered, more than 1
-            only as far as photographs have such colours, see `CHROMA`.
+        saturation: 0 for grey, 1 to leave colours as they are, up to 4.
         gamut: share of gamut compression, 0…1. 0 clips negative channels; 1 squeezes distances from
             grey, (max − c)/max, above .75 to below 1, along the curve of ACES' reference gamut
-            compression (Academy, S-2020-001) with power 2.
+            compression (Academy, S-2020-001) with power 2. If metered, more than 0 also lowers the
+            saturation where the mean colour is more vivid than those of photographs.
         tone: exponent c of the curve (1 + k)·x^c/(x^c + k), .25…4, with p = .18^c and
             k = .82·p/(.18 − p); black, mid-grey and white stay, and its slope at mid-grey is
             c·k/(p + k). Light above white goes on along the slope there.
@@ -176,11 +175,15 @@ class Development:
             gain = gain * like.new_tensor(self.white_balance)
         elif means is not None and _balances(self.white_balance):
             gain = gain * _balance(means.positive, _of_rows(self.white_balance, 2))
+        gamut = _of_rows(self.gamut, 2)
+        if means is not None and self.metered and (isinstance(gamut, Tensor) or gamut > 0):
+            held = _held(saturation, means.positive * gain)
+            saturation = (
+                held if isinstance(gamut, float) else torch.where(gamut > 0, held, saturation)
+            )
         if isinstance(saturation, float) and saturation == 1:
             return gain
-        if means is not None and self.metered:
-            saturation = _held(saturation, means.positive * gain)[..., None]
-        elif isinstance(saturation, Tensor):
+        if isinstance(saturation, Tensor):
             saturation = saturation[..., None]
         unit = torch.eye(3, dtype=gain.dtype, device=gain.device)
         grey = gain.new_tensor(LUMINANCE).expand(3, 3)
@@ -261,7 +264,7 @@ def _balance(means: Tensor, share: float | Tensor) -> Tensor:
 
 
 def _held(saturation: Any, mean: Tensor) -> Tensor:
-    """Saturation (B, 1), above 1 no farther than `CHROMA` of the mean light (B, 3)."""
+    """Saturation (B, 1) by which the mean light (B, 3) has no more than `CHROMA`."""
     grey, to_xyz = _luminance(mean), mean.new_tensor(_XYZ).mT
     held: Tensor = grey.new_zeros(grey.shape) + saturation
     for _ in range(2):
@@ -269,7 +272,7 @@ def _held(saturation: Any, mean: Tensor) -> Tensor:
         x, y, z = ((vivid @ to_xyz) ** (1 / 3))[..., None].unbind(1)
         chroma = ((500 * (x - y)) ** 2 + (200 * (y - z)) ** 2 + _LEAST_LIGHT).sqrt()
         most = CHROMA[0] + CHROMA[1] * (116 * y - 16)
-        held = held.minimum((held * most / chroma).clamp(min=1.0))
+        held = held.minimum(held * most / chroma)
     return held
 
 
@@ -282,6 +285,7 @@ def gain_at(
     white_balance: float,
     factors: Array,
     saturation: float,
+    is_held: bool,
 ) -> Array:
     """`Development.gain_of` of one picture, as a matrix (3, 3), for the loops; of the first three
     `Means` (3x3), and of the `factors` (3) of a white balance that was set.
@@ -299,7 +303,7 @@ def gain_at(
         balance = (before / np.maximum(means[2], before / MOST)) ** white_balance
         after = (balance * means[2] * luminance).sum()
         gains *= balance * (before / after if after > DARKEST else 1.0)
-    if metered:
+    if metered and is_held:
         mean = gains * means[2]
         grey = (mean * luminance).sum()
         for _ in range(2):
@@ -307,7 +311,7 @@ def gain_at(
             x, y, z = (np.array(_XYZ) * vivid).sum(1) ** (1 / 3)
             chroma = math.sqrt((500 * (x - y)) ** 2 + (200 * (y - z)) ** 2 + _LEAST_LIGHT)
             most = CHROMA[0] + CHROMA[1] * (116 * y - 16)
-            saturation = min(saturation, max(saturation * most / chroma, 1.0))
+            saturation *= min(most / chroma, 1.0)
     matrix = np.empty((3, 3))
     for row in range(3):
         matrix[row] = (1 - saturation) * luminance

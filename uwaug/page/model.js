@@ -275,7 +275,7 @@ export function riseOf({ width, height }, pitch, { direction: { view, rise, most
 // --- the camera: uwaug/formation/development.py -----------------------------------------------------
 
 /** One 3x3 matrix: exposure, white balance and saturation, of some pixels without their blur. */
-export function gainOf(scene, { table, rise }, { exposure, white_balance, saturation }, tables) {
+export function gainOf(scene, { table, rise }, { exposure, white_balance, saturation, gamut }, tables) {
   const { pixels, light, points, place, K } = scene, size = K + 21, { luminance, meter } = tables;
   const before = [0, 0, 0], after = [0, 0, 0], positive = [0, 0, 0], brightness = [];
   const Y = colour => sum(join(colour, luminance, (x, weight) => x * weight));
@@ -305,12 +305,12 @@ export function gainOf(scene, { table, rise }, { exposure, white_balance, satura
     balance = balance.map(x => x * kept);
   }
   const colour = join(positive, balance, (x, factor) => metered * factor * x), grey = Y(colour);
-  for (let i = 0; i < 2; i++) { // no colours that photographs do not have
+  for (let i = 0; i < 2 && gamut > 0; i++) { // no colours that photographs do not have
     const vivid = colour.map(x => Math.max(grey + saturation * (x - grey), meter.leastLight));
     const [x, y, z] = meter.xyz.map(row => Math.cbrt(sum(join(row, vivid, (weight, light) => weight * light))));
     const chroma = Math.sqrt((500 * (x - y)) ** 2 + (200 * (y - z)) ** 2 + meter.leastLight);
     const highest = meter.chroma[0] + meter.chroma[1] * (116 * y - 16);
-    saturation = Math.min(saturation, Math.max(saturation * highest / chroma, 1));
+    saturation *= Math.min(highest / chroma, 1);
   }
   return [0, 1, 2].map(c => balance.map((factor, j) =>
     metered * factor * ((1 - saturation) * luminance[j] + (c === j ? saturation : 0))));

@@ -43,7 +43,7 @@ class RandomDevelopment(Noun):
     exposure: Range = number((-1.2, 0.9), *DOMAINS["exposure"])
     metered: bool = True
     white_balance: Range = number((-0.8, 0.5), *DOMAINS["white_balance"])
-    saturation: Range = number((0.9, 1.35), *DOMAINS["saturation"])
+    saturation: Range = number((0.9, 1.4), *DOMAINS["saturation"])
     gamut: Range = number((0.85, 1.0), *DOMAINS["gamut"])
     tone: Range = number((0.95, 1.5), *DOMAINS["tone"])
     color_space: ColorSpace = "srgb"
