@@ -147,11 +147,11 @@ def restoration() -> Image.Image:
         source = Metres() if distance is not None else MadeUp()
         augment = RandomUnderwater(RandomWater(contrast=(0.2, 0.5)), distance=source, light=None)
         record = augment.make_params(image, torch.Generator().manual_seed(40 + row))
-        metres = source.metres(distance, image, record["samples"][0]["distance"])
-        left = augment.contrast_left(image, distance, record)
+        scenes = augment.scenes(image, distance, record)
+        metres, left = scenes.metres[0], scenes.contrast_map()
         rows.append(
             [
-                (augment.transform(image, distance, record), "input"),
+                (scenes.formed(), "input"),
                 (image, "target"),
                 (
                     shown_distance(metres),
@@ -241,18 +241,16 @@ def reds(scene: Scene) -> Image.Image:
 
 def made_up() -> Image.Image:
     """Four pictures of scikit-image, with two made-up maps and what default draws make of each."""
-    source = MadeUp()
-    augment = RandomUnderwater(distance=source)
-    rows = []
+    augment, rows = RandomUnderwater(distance=MadeUp()), []
     for row, name in enumerate(("coffee", "astronaut", "rocket", "chelsea")):
         image, _ = scene_of(name, 376)
         cells = [(image, name)]
         for draw in range(2):
             record = augment.make_params(image, torch.Generator().manual_seed(2 * row + draw))
-            numbers = record["samples"][0]["distance"]
-            z = shown_distance(source.metres(None, image, numbers))
-            cells.append((z, f"{numbers['near']:.1f} to {numbers['far']:.0f} m"))
-            cells.append((augment.transform(image, None, record), ""))
+            scenes = augment.scenes(image, None, record)
+            z = scenes.metres[0]
+            cells.append((shown_distance(z), f"{float(z.min()):.1f} to {float(z.max()):.0f} m"))
+            cells.append((scenes.formed(), ""))
         rows.append(cells)
     return sheet(rows, (188, 188))
 
