@@ -35,10 +35,10 @@ TRUTHS = {
 CHANGED = (
     "defaults",
     "Jerlov types alone",
-    "contrast .1–.9",
-    "daylight",
+    "contrast .07–.4",
+    "no lamps",
     "grey surfaces",
-    "white_balance −.5…1",
+    "white_balance −.8….8",
 )
 """The draws that stand beside photographs."""
 

@@ -383,7 +383,7 @@ def test_a_scene_without_a_size_ends_where_its_water_leaves_so_much(
     t.flatten(1)[:, 0], t.flatten(1)[:, 1] = 0.0, 1.0
     record = aug.make_params(picture(8), torch.Generator().manual_seed(1))
     for sample in record["samples"]:
-        sample["distance"] |= {"near_left": 0.75, "far_left": 0.04}
+        sample["distance"] |= {"near_left": 0.6, "far_left": 0.04}
     scenes = aug.scenes(picture(8), t if distance.reads_maps else None, record)
     for i, metres in enumerate(scenes.metres):
         water = scenes.clarity(i).water
@@ -394,7 +394,7 @@ def test_a_scene_without_a_size_ends_where_its_water_leaves_so_much(
             )
         else:
             near, far = (water.contrast(float(end)) for end in z)
-        assert near == pytest.approx(0.75, abs=0.1 if distance == MadeUp() else 0.002)
+        assert near == pytest.approx(0.6, abs=0.1 if distance == MadeUp() else 0.002)
         assert far == pytest.approx(0.04, abs=0.1 if distance == MadeUp() else 0.002)
 
 
@@ -507,9 +507,9 @@ def test_open_water(host: bool, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 ODD: list[tuple[RandomWater, Light | None, float, str]] = [
-    (RandomWater("I", contrast=0.4), None, 3.0, "of I is hardly the water that was named"),
-    (RandomWater("I", contrast=0.1), LIT, 0.5, "of I is hardly the water that was named"),
-    (RandomWater("chlorophyll=.01", visibility=2.0), None, 0.5, "=0.01.* hardly the water"),
+    (RandomWater("I", contrast=0.4), None, 3.0, "times what is in it, which is hardly that water"),
+    (RandomWater("I", contrast=0.1), LIT, 0.5, "times what is in it, which is hardly that water"),
+    (RandomWater("chlorophyll=.01", visibility=2.0), None, 0.5, "hardly that water: name a more turbid one"),
     (RandomWater(COAST, contrast=0.9), None, 30.0, "pure water has less than a contrast of 0.9"),
     (RandomWater(COAST, contrast=0.9), LIT, 30.0, "0.9 at 30 m: are distances metres?"),
     (RandomWater("II", visibility=200.0), None, 4.0, "less than the visibility at 4 m"),

@@ -77,20 +77,17 @@ class Clarity(NamedTuple):
     asked: float | None  # contrast that was asked for at this distance
 
     def record(self) -> dict[str, Any]:
-        """All of it as JSON holds it, with the visibility, m."""
+        """All but the water as JSON holds it, and the visibility, m."""
         visibility = metres_for(self.water, CONTRAST_THRESHOLD)
-        return {**self._asdict(), "water": self.name, "visibility": visibility}
-
-    @property
-    def name(self) -> str:
-        """Name of the water."""
-        return self.water.name if isinstance(self.water, Water) else "of coefficients"
+        names = ("metres", "contents", "asked")
+        return {"visibility": visibility, **{name: getattr(self, name) for name in names}}
 
     @property
     def odd(self) -> str:
         """A sentence if the water is hardly the one named, or too murky when pure; else ""."""
         if self.contents > MOST_CONTENTS:
-            return f"{self.name} is hardly the water that was named: take a more turbid one"
+            times = f"{self.contents:.3g} times what is in it"
+            return f"that takes {times}, which is hardly that water: name a more turbid one"
         if self.contents == 0:
             asked = f"a contrast of {self.asked:.2g}" if self.asked else "the visibility"
             return f"pure water has less than {asked} at {self.metres:.3g} m: are distances metres?"
