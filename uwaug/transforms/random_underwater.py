@@ -148,12 +148,12 @@ class RandomUnderwater(SampleTransform):
             water, options: as for the class.
 
         Raises:
-            ValueError: if there is no such level.
+            ValueError: if there is no such level, or the water has a visibility.
         """
         if level not in SEVERITIES:
             raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
         noun = water if isinstance(water, RandomWater) else RandomWater(water)
-        return cls(replace(noun, visibility=None, contrast=SEVERITIES[level]), **options)
+        return cls(replace(noun, contrast=SEVERITIES[level]), **options)
 
     def module(
         self,

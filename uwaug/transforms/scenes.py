@@ -102,8 +102,8 @@ class Scenes(NamedTuple):
             return truth_of(J, *maps, scene.setting, scene.vertical_depth)
 
     def settled(self) -> dict[str, Any]:
-        """Median distance, exposure and white balance of this one picture, for all frames of its
-        film, see `Measured.of_film`.
+        """Median distance, exposure, white balance and saturation of this one picture, for all
+        frames of its film, see `Measured.of_film`.
         """
         ((setting, *_),) = self.scenes
         medium = setting.medium.to(self.z)
@@ -115,6 +115,7 @@ class Scenes(NamedTuple):
             "median": setting.span[1],
             "exposure": development.exposure,
             "white_balance": balance if isinstance(balance, tuple) else None,
+            "saturation": development.saturation,
         }
 
 
