@@ -26,7 +26,7 @@ Floats = NDArray[np.float32]
 _OPEN_PROBABILITY = 0.75  # of open water where a picture has a place for it
 # of a ramp instead: nets learn that water hides by distance, and not that this network is right
 _RAMP_PROBABILITY = 0.03
-_OPEN = 1.2  # relative distance of open water, so that its rim lies at the far end, where it hides
+_OPEN = 1.2  # relative distance of open water, whose rim lies at the far end
 _LEAST_OPEN_SHARE = 0.03  # of a picture that is surely open water, if any is, and of each patch
 # probabilities from which open water is sure, begins around a sure place, and is whole there
 _SURE, _OPEN_FROM, _OPEN_TO = 0.7, 0.4, 0.6
@@ -82,7 +82,8 @@ class MadeUp(Placed):
         depth = _enlarged(lines, image, float(small.max()))
         near, far = drawn["near"], drawn["far"]
         z = depth.clamp(max=1).mul_(math.log(far / near)).exp_().mul_(near)
-        z.masked_fill_(depth > (1 + _OPEN) / 2, math.inf)
+        if not drawn.get("hides"):
+            z.masked_fill_(depth > (1 + _OPEN) / 2, math.inf)
         return z[None].to(torch.promote_types(image.dtype, torch.float32))
 
 

@@ -56,9 +56,9 @@ class Source(Noun):
         """True if scenes are as large as they are, whatever the water."""
         return True
 
-    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> Drawn:
+    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> dict[str, Any]:
         """The draw of a picture in its water, which leaves shares of contrast at so many m."""
-        return drawn
+        return dict(drawn)
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         """Compute the distances of a picture: metres above 0, or +inf for open water.
@@ -147,9 +147,9 @@ class Placed(Source):
     def has_size(self) -> bool:
         return self.near is not None and self.far is not None
 
-    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> Drawn:
+    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> dict[str, Any]:
         if self.has_size:
-            return drawn
+            return dict(drawn)
         near, far = drawn.get("near"), drawn.get("far")
         if near is None:
             near = min(max(metres_for(drawn["near_left"]), _NEAREST_M[0]), _NEAREST_M[1])

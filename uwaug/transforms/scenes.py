@@ -144,7 +144,10 @@ def scenes_of(
         # scenes without a size are placed in their water
         waters = [] if source.has_size else [water.water(d.water, PLACED_M) for d in applied]
         placed = [
+            # the veil grows on behind the far end, which would show the rim of open water; but it
+            # must be endless where the water may still become clearer
             source.placed(draw.distance, partial(metres_for, of_it))
+            | {"hides": "contrast" not in draw.water}
             for draw, (of_it, _) in zip(applied, waters, strict=False)
         ]
         metres = _metres_of(source, pictures, maps, draws, placed, space, view)
