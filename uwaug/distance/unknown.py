@@ -6,6 +6,7 @@ faces the camera: a number of metres must also look like a stand-in, as 65.535 o
 
 import torch
 from torch import Tensor
+from torch.nn.functional import max_pool2d
 
 FARTHEST_SEEN = 50.0  # m, beyond which the largest distance of a map may be a stand-in
 NO_RANGE = 100.0  # m, from which on it is a renderer's sky, and no pixel that a camera did not see
@@ -23,6 +24,7 @@ _TYPE_ENDS_M = tuple(
 # share of the pixels at the largest distance, and its ratio to the median of all others, from which
 # on a renderer ends there; by default at most .12 of the contrast would be left so far away
 _END_SHARE, _END_TIMES = 0.01, 20.0
+_SCATTERED_SHARE = 0.3  # of the pixels with a distance, that touch infinity where it is no water
 
 
 def of_metres(z: Tensor) -> Tensor:
@@ -66,6 +68,18 @@ def range_end(z: Tensor) -> Tensor:
         if others.numel() and bool(top >= _END_TIMES * others.median()):
             return is_end
     return torch.zeros_like(is_end)
+
+
+def scattered(z: Tensor) -> Tensor:
+    """True where a map (1xHxW) is infinite, if many of the pixels with a distance touch such ones:
+    open water lies together.
+    """
+    is_open, is_seen = z.detach() == torch.inf, (z.detach() > 0) & z.detach().isfinite()
+    if bool(is_open.any()) and bool(is_seen.any()):
+        touches = max_pool2d(is_open.float(), 3, 1, 1)[is_seen]
+        if float(touches.mean()) > _SCATTERED_SHARE:
+            return is_open
+    return torch.zeros_like(is_open)
 
 
 def in_words(x: Tensor, alone: Tensor, cure: str = "") -> str:
