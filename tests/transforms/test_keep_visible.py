@@ -268,3 +268,9 @@ def test_other_refusals() -> None:
         KeepVisible(0.05)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"min_contrast must be in \[0, 1\]"):
         KeepVisible(AUGMENT, 5)
+
+
+@pytest.mark.parametrize("numbers", [5, 8])
+def test_boxes_that_are_turned_are_named(numbers: int) -> None:
+    with pytest.raises(ValueError, match=rf"\(N, 4\), got \(3, {numbers}\): of rotated .* 'masks'"):
+        KEEP(image(), distance(), {"boxes": torch.rand(3, numbers), "labels": torch.arange(3)})

@@ -509,7 +509,12 @@ def test_open_water(host: bool, monkeypatch: pytest.MonkeyPatch) -> None:
 ODD: list[tuple[RandomWater, Light | None, float, str]] = [
     (RandomWater("I", contrast=0.4), None, 3.0, "times what is in it, which is hardly that water"),
     (RandomWater("I", contrast=0.1), LIT, 0.5, "times what is in it, which is hardly that water"),
-    (RandomWater("chlorophyll=.01", visibility=2.0), None, 0.5, "hardly that water: name a more turbid one"),
+    (
+        RandomWater("chlorophyll=.01", visibility=2.0),
+        None,
+        0.5,
+        "hardly that water: name a more turbid one",
+    ),
     (RandomWater(COAST, contrast=0.9), None, 30.0, "pure water has less than a contrast of 0.9"),
     (RandomWater(COAST, contrast=0.9), LIT, 30.0, "0.9 at 30 m: are distances metres?"),
     (RandomWater("II", visibility=200.0), None, 4.0, "less than the visibility at 4 m"),

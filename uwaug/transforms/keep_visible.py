@@ -129,6 +129,9 @@ def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
             raise ValueError(f"target['masks'] must be {expected}, got {tuple(masks.shape)}")
         return (masks * contrast_map).sum((-2, -1)) / masks.sum((-2, -1)).clamp(min=1)
     boxes = target["boxes"]
+    if np.ndim(boxes) > 1 and np.shape(boxes)[-1] not in (0, 4):
+        got = f"got {tuple(np.shape(boxes))}: of rotated boxes and polygons give 'masks' (N, H, W)"
+        raise ValueError(f"target['boxes'] must be (N, 4), {got}")
     if hasattr(boxes, "format"):  # torchvision's
         from torchvision.transforms.v2.functional import convert_bounding_box_format
 
