@@ -875,3 +875,17 @@ def test_masks_in_colour(tmp_path: Path) -> None:
     with Image.open(tmp_path / "out/labels/1.png") as written:
         assert np.array_equal(written, mask)
     assert (tmp_path / "out/labelmap.txt").read_text() == "fish:128,0,0::\n"
+
+
+# Text
+
+
+@pytest.mark.parametrize("code, words", [("cp1252", "Müll\nHöhle\n"), ("cp950", "海參\n")])
+def test_text_in_another_code_page_is_named(tmp_path: Path, code: str, words: str) -> None:
+    write(tmp_path / "labels/1.txt", ALL)
+    for name in ("classes.txt", "data.yaml"):
+        file = write(tmp_path / "labels" / name, "")
+        file.write_bytes(b"names: " * (name != "classes.txt") + words.encode(code))
+        with pytest.raises(ValueError, match=rf"{name}: is no"):
+            opened(tmp_path / "labels", "1.png")
+        file.unlink()

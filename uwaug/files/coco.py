@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from uwaug._support.atomic import read_text
 from uwaug.files.labels import Entry, Key, Labels, require_size
 from uwaug.files.paths import matched, parts_of, split_of
 
@@ -32,7 +33,7 @@ class Coco(Labels):
         if not path.is_file():
             return ""
         try:
-            rest = json.loads(path.read_text(encoding="utf-8-sig"))
+            rest = json.loads(read_text(path))
             images = list(rest.pop("images"))
             annotations: dict[Any, list[Entry]] = {image["id"]: [] for image in images}
             are_named = all(parts_of(str(image["file_name"])) for image in images)

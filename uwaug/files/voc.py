@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
+from uwaug._support.atomic import read_text
 from uwaug.files.labels import Folder, Key, require_size
 from uwaug.files.paths import split_of
 
@@ -75,7 +76,7 @@ class Voc(Folder):
         for tree, places in trees.items():
             folders = (folder / tree / _LISTS for folder in (self.path, self.path.parent))
             files = [file for folder in folders for file in sorted(folder.glob("*.txt"))]
-            texts = {file.name: file.read_text(encoding="utf-8-sig") for file in files}
+            texts = {file.name: read_text(file) for file in files}
             lists = {name: text.splitlines() for name, text in texts.items()}
             for name in places if not lists else ():
                 split = split_of(name.split("/")[:-1]) or "train"

@@ -6,6 +6,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from uwaug._support.atomic import read_text
 from uwaug.files.labels import Entry, Folder, Key, Labels
 from uwaug.files.paths import PICTURES, Files, matched, normal, parts_of, split_of
 
@@ -207,8 +208,7 @@ def _told(source: Path | None, classes: Entry, lists: Mapping[Path, list[str]]) 
 
 
 def _first(file: Path) -> list[float]:
-    words = file.read_text(encoding="utf-8-sig").strip().partition("\n")[0].split()
-    return [float(word) for word in words]
+    return [float(word) for word in read_text(file).strip().partition("\n")[0].split()]
 
 
 def _read(file: Path) -> Entry:
@@ -227,6 +227,4 @@ def _read(file: Path) -> Entry:
 
 
 def _lines(file: Path) -> list[str]:
-    data = file.read_bytes()  # PowerShell writes lists in UTF-16
-    is_utf16 = data.startswith((b"\xff\xfe", b"\xfe\xff"))
-    return data.decode("utf-16" if is_utf16 else "utf-8-sig").splitlines()
+    return read_text(file).splitlines()
