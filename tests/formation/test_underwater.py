@@ -269,7 +269,7 @@ def test_an_empty_picture() -> None:
 def test_torch_func_differentiates_as_autograd_does(dtype: torch.dtype) -> None:
     degrade = Underwater(Medium.from_water("9C"))
     image, z = torch.rand(1, 3, 20, 30, dtype=dtype), torch.linspace(1, 4, 30, dtype=dtype)
-    z = z.expand(1, 1, 20, 30)
+    z = z.repeat(1, 1, 20, 1)
 
     def patch(image: Tensor, z: Tensor) -> Tensor:
         return degrade(image, z)[0, :, ::9, ::15].flatten()
