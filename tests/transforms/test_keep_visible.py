@@ -270,7 +270,10 @@ def test_other_refusals() -> None:
         KeepVisible(AUGMENT, 5)
 
 
-@pytest.mark.parametrize("numbers", [5, 8])
-def test_boxes_that_are_turned_are_named(numbers: int) -> None:
-    with pytest.raises(ValueError, match=rf"\(N, 4\), got \(3, {numbers}\): of rotated .* 'masks'"):
-        KEEP(image(), distance(), {"boxes": torch.rand(3, numbers), "labels": torch.arange(3)})
+def test_boxes_that_are_turned() -> None:
+    corners = torch.tensor([[14.0, 5, 24, 20, 14, 35, 4, 20], [46, 2, 58, 20, 46, 38, 34, 20]])
+    kept = KEEP(image(), distance(), {"boxes": corners, "labels": torch.arange(2)})[2]
+    assert kept["labels"].tolist() == [0]
+    assert torch.equal(kept["boxes"], corners[:1])
+    with pytest.raises(ValueError, match=r"got \(3, 5\): of rotated boxes give corners .* 'masks'"):
+        KEEP(image(), distance(), {"boxes": torch.rand(3, 5), "labels": torch.arange(3)})

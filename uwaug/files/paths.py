@@ -166,5 +166,7 @@ def matched(
 
 def _reversed_parts(path: str, left_out: Iterable[str]) -> list[str]:
     """Name and folders of a file in normal form, the name first, without some folders."""
+    # Label Studio's paths are queries: /data/local-files/?d=reef%2F1.jpg
+    path = unquote(path).rpartition("?d=")[2]
     name, *folders = [*map(normal, parts_of(path))][::-1] or [""]
     return [name, *(folder for folder in folders if folder not in left_out)]

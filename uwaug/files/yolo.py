@@ -11,8 +11,8 @@ from uwaug.files.labels import Entry, Folder, Key, Labels
 from uwaug.files.paths import PICTURES, Files, matched, normal, parts_of, split_of
 
 if TYPE_CHECKING:
+    from uwaug._support.pixels import Pixels, Size
     from uwaug.files.items import Item
-    from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
 _CLASS_FILES = ("classes.txt", "obj.names", "_darknet.labels")  # with a class in each line
@@ -46,7 +46,8 @@ class Yolo(Folder):
         try:
             _first(file)
         except ValueError as error:
-            raise ValueError(f"{file}: {error}") from None
+            others = "DOTA, KITTI, MOT and VisDrone are written otherwise: convert them"
+            raise ValueError(f"{file}: {error}: expected class cx cy w h; {others}") from None
 
     def described(self, samples: Sequence[Path]) -> Self:
         """The labels with the content of data.yaml, beside them or above, or of another .yaml with
@@ -76,7 +77,7 @@ class Yolo(Folder):
         return replace(self, description=classes, told=_told(source, classes, lists))
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
-        from uwaug.files.pixels import of_box, of_polygons
+        from uwaug._support.pixels import of_box, of_polygons
 
         file = self.of[name]
         for number, line in enumerate(_lines(file), 1):
