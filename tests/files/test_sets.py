@@ -248,4 +248,4 @@ def test_two_files_that_label_one_picture_are_refused(run: Run) -> None:
     flags = ("--labels", "ds/annotations", "--out", "wet", "--distance", "2")
     code, _, err = run("degrade", "ds", *flags)
     assert code != 0
-    assert "keypoints.json is one of two files that label 0.png: give one" in " ".join(err.split())
+    assert "keypoints.json is one of two that label 0.png: give one" in " ".join(err.split())

@@ -163,6 +163,16 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
     return list(dict.fromkeys(sentences))
 
 
+def may_be_mm(shares: Tensor) -> bool:
+    """True if a map that was read without unit holds whole numbers in less than a tenth of 0…1."""
+    numbers = 65535 * shares[shares > 0]
+    sample = numbers[:: max(1, numbers.numel() // 4096)].sort().values
+    margin, rounded = sample.numel() // 100, sample.round()
+    is_narrow = sample.numel() >= 64 and float(sample[-1 - margin] - sample[margin]) < 6554
+    has_numbers = len(set(rounded.tolist())) > 16
+    return is_narrow and has_numbers and torch.allclose(sample, rounded, 0, 0.01)
+
+
 def _is_majority(votes: list[bool]) -> bool:
     return 2 * sum(votes) > len(votes)
 

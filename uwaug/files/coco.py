@@ -33,6 +33,7 @@ class Coco(Labels):
 
     rest: Entry = field(default_factory=dict)  # all other entries of the file
     count: int = 0  # of images in the file
+    is_split: bool = False  # if it is one of several
 
     reads = "a COCO file (.json)"
 
@@ -78,10 +79,6 @@ class Coco(Labels):
                 place = f"{self.path}, annotation {entry.get('id')}"
                 raise ValueError(f"{place}: {error!r}") from error
 
-    def file_name(self, picture: "Result") -> str:
-        """The name of a picture in the file that is written."""
-        return picture.place
-
     def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
         """A file of the same name, with the images of the pictures, and a "contrast" in each
         annotation. Images and annotations of several variants get new numbers.
@@ -95,7 +92,11 @@ class Coco(Labels):
             if [entry["id"] for entry in entries] != [judged.key for judged in picture.objects]:
                 raise ValueError(f"{self.path} has changed since {picture.place} was written")
             image_id = len(images) + 1 if renumber else image["id"]
-            images.append({**image, "id": image_id, "file_name": self.file_name(picture)})
+            place = picture.place
+            if self.is_split:  # pictures lie below its folder, or another, as they did
+                above = parts_of(picture.item.name)[: -len(parts_of(str(image["file_name"])))]
+                place = place.removeprefix("".join(f"{folder}/" for folder in above))
+            images.append({**image, "id": image_id, "file_name": place})
             for entry, judged in zip(entries, picture.objects, strict=True):
                 if judged.kept:
                     number = len(annotations) + 1 if renumber else entry["id"]
@@ -108,20 +109,11 @@ class Coco(Labels):
         return {self.path.name: text.encode()}, [note] * bool(missing)
 
 
-class CocoSplit(Coco):
-    """The file of one split, whose pictures lie where they lay, below its own folder or another."""
-
-    def file_name(self, picture: "Result") -> str:
-        before = str(self.of[picture.item.name][0]["file_name"])
-        folders = parts_of(picture.item.name)[: -len(parts_of(before))]
-        return picture.place.removeprefix("".join(f"{folder}/" for folder in folders))
-
-
 @dataclass(frozen=True, eq=False)
 class CocoSplits(Coco):
     """COCO files in a folder, one for each split."""
 
-    splits: Mapping[str, CocoSplit] = field(default_factory=dict)  # by their paths in the folder
+    splits: Mapping[str, Coco] = field(default_factory=dict)  # by their paths in the folder
 
     reads = "a folder of COCO files"
 
@@ -131,14 +123,15 @@ class CocoSplits(Coco):
         paths = [file for file in sorted(path.rglob("*.json")) if runs.isdisjoint(file.parents)]
         if len(paths) > _MOST_FILES:
             return f"{len(paths)} .json files, while COCO has one for a split: gather them in it"
-        opened = {file: CocoSplit.opened(file, items) for file in paths if file.name != MANIFEST}
-        files = {file: labels for file, labels in opened.items() if isinstance(labels, CocoSplit)}
+        opened = {file: Coco.opened(file, items) for file in paths if file.name != MANIFEST}
         of: dict[str, Any] = {}
-        for file, labels in files.items():
-            if twice := labels.of.keys() & of.keys():
-                raise ValueError(f"{file} is one of two files that label {min(twice)}: give one")
-            of |= labels.of
-        splits = {file.relative_to(path).as_posix(): labels for file, labels in files.items()}
+        splits = {}
+        for file, labels in opened.items():
+            if isinstance(labels, Coco):
+                if twice := labels.of.keys() & of.keys():
+                    raise ValueError(f"{file} is one of two that label {min(twice)}: give one")
+                of |= labels.of
+                splits[file.relative_to(path).as_posix()] = replace(labels, is_split=True)
         return cls(path, of, splits=splits) if of else "; ".join(map(str, [*opened.values()][:1]))
 
     def only(self, name: str) -> Self:

@@ -25,9 +25,8 @@ _UNREAD = {
     ".hif .insp .jfif .jp2 .jpe .jpf .jpx .j2k .jxl .mpo .pgm .pnm .ppm .psd .qoi .tga .webp",
     "develop them first, as by darktable-cli": ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .gpr .iiq "
     ".kdc .mef .mos .mrw .nef .nrw .orf .ori .pef .raf .raw .rw2 .rwl .sr2 .srf .srw .x3f",
-    "make frames of it, as by ffmpeg -i FILM frames/%05d.png, and give --sequence": ".264 .265 "
-    ".3g2 .3gp .360 .asf .avi .braw .flv .h264 .h265 .hevc .insv .m2t .m2ts .m2v .m4v .mkv .mov "
-    ".mp4 .mpeg .mpg .mts .mxf .ogv .r3d .ts .vob .webm .wmv .y4m",
+    "make frames of it, as by ffmpeg -i FILM frames/%05d.png, and give --sequence": ".3gp .360 "
+    ".avi .flv .hevc .insv .m2ts .m4v .mkv .mov .mp4 .mpeg .mpg .mts .mxf .ts .vob .webm .wmv",
 }
 
 _OF_DISKS = ("@eaDir", "@Recycle", "@Recently-Snapshot", "@tmp")  # folders of network disks
@@ -233,7 +232,7 @@ def _map(distance: str | Path | None, path: Path, name: str, files: Files) -> Pa
     if not _STEM.search(pattern):
         is_exr = path.suffix.lower() == ".exr"  # which may be its own map
         ends = (*MAP_ENDINGS, *_MARKED_ENDS)
-        file = files.of(Path() if is_exr else path, name, Path(distance), ends)
+        file = files.of(Path() if is_exr else path, name, Path(distance), ends, ())
         return file or Path(distance) / os.path.splitext(aliases(name)[0])[0]
     stems, folder = [os.path.splitext(alias)[0] for alias in aliases(name)], Path()
     if not os.path.dirname(pattern):

@@ -71,12 +71,7 @@ class Files:
         return None
 
     def of(
-        self,
-        picture: Path,
-        name: str,
-        folder: Path,
-        ends: Sequence[str],
-        folders: Iterable[str] = (),
+        self, picture: Path, name: str, folder: Path, ends: Sequence[str], folders: Iterable[str]
     ) -> Path | None:
         """The file of a picture in a folder of such: that of its name, or an alias, with one of the
         ends; but not the picture itself.

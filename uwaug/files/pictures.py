@@ -341,10 +341,9 @@ def _of_pfm(path: Path) -> NDArray[Any]:
 def _of_pillow(path: Path) -> _File:
     with Image.open(path) as image:  # refuses pictures that would fill the memory
         modes = ("RGB", "RGBA", "L", "LA", "I;16", "I;16B")
-        if image.mode not in modes:
-            raise ValueError(f"expected RGB or grey, without a palette, got {image.mode}")
-        if "transparency" in image.info:
-            raise ValueError("has a transparent colour: save it without, or with an alpha channel")
+        if image.mode not in modes or "transparency" in image.info:
+            got = "a transparent colour: save it without" if image.mode in modes else image.mode
+            raise ValueError(f"expected RGB or grey, without a palette, got {got}")
         if image.format == "PNG" and (count := getattr(image, "n_frames", 1)) > 1:
             raise ValueError(f"holds {count} pictures: save each in a file of its own")
         is_png = image.format == "PNG" and image.mode in ("RGB", "RGBA", "LA")
