@@ -906,6 +906,8 @@ OTHERS = {
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_formats_are_named_with_a_cure(tmp_path: Path, name: str) -> None:
     write(tmp_path / name, OTHERS[name])
+    with pytest.raises(ValueError, match=r"/gt\.txt is MOT's" if "MOT" in name else name):
+        opened(tmp_path / name.partition("/")[0], "1.jpg")
     is_text = name.endswith("/1.txt")
     others = (
         "expected class cx cy w h; DOTA, KITTI" if is_text else "LVIS .*YouTube-VIS, SA-1B, .*MOT"

@@ -122,7 +122,7 @@ class CocoSplits(Coco):
         runs = {file.parent for file in path.rglob(MANIFEST)} - {path}
         paths = [file for file in sorted(path.rglob("*.json")) if runs.isdisjoint(file.parents)]
         if len(paths) > _MOST_FILES:
-            return f"{len(paths)} .json files, while COCO has one for a split: gather them in it"
+            return f"{len(paths)} .json files, as of SA-1B or labelme: gather them in one of COCO"
         opened = {file: Coco.opened(file, items) for file in paths if file.name != MANIFEST}
         of: dict[str, Any] = {}
         splits = {}

@@ -29,8 +29,7 @@ def open_labels(path: str | Path, items: Sequence["Item"]) -> Labels:
     "masks/{stem}_gt.png", in any of the formats; a ValueError says what was looked for.
     """
     path = Path(path)
-    folder = path.parent if path.name.startswith(STEM) else path
-    folder.stat()
+    (folder := path.parent if path.name.startswith(STEM) else path).stat()
     reasons = []
     for format in FORMATS:
         labels = format.opened(path, items)
@@ -39,5 +38,6 @@ def open_labels(path: str | Path, items: Sequence["Item"]) -> Labels:
         reasons.append(labels)
     ends = Counter(file.suffix for file in folder.rglob("*.*") if file.is_file())
     reasons += [f"found {count} files ending in {end}" for end, count in ends.most_common(1)]
+    reasons += [f"{file} is MOT's: make a COCO file of it" for file in folder.rglob("gt.txt")][:1]
     looked = "; ".join(filter(None, reasons))
     raise ValueError(f"labels belong to no picture: {path} must be {formats()}: {looked}")
