@@ -350,6 +350,16 @@ def test_arguments_that_are_refused(name, options, message):
         uwaug.load_preset(name, **options)
 
 
+def test_files_of_windows(tmp_path: Path) -> None:
+    text = '# Höhle\nwater = "3C"\n'
+    for code in ("utf-8-sig", "utf-16"):
+        (tmp_path / "own.toml").write_text(text, encoding=code)
+        assert uwaug.load_preset(tmp_path / "own.toml").water.waters == "3C"
+    (tmp_path / "own.toml").write_text(text, encoding="cp1252")
+    with pytest.raises(ValueError, match=r"own\.toml: is no text in UTF-8"):
+        uwaug.load_preset(tmp_path / "own.toml")
+
+
 def test_deep_nesting_and_pipes_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "deep.toml"
     path.write_text("a=" + "[" * 50_000 + "]" * 50_000)

@@ -97,7 +97,10 @@ def degrade(
     )
     if labels is None:
         return summary
-    return replace(summary, notes=[_labels_note(labels, items), *summary.notes])
+    unlabelled = [item.name for item in items if item.name not in labels.of]
+    got = f"belong to {len(items) - len(unlabelled)} of {len(items)} pictures"
+    rest = f", not to {unlabelled[0]}" if unlabelled else ""
+    return replace(summary, notes=[f"labels, {labels.reads}, {got}{rest}", *summary.notes])
 
 
 def _one(work: Work, job: Job, resume: bool, force: bool) -> Summary:
@@ -168,13 +171,6 @@ def replay(
         (image, *_), z = recipe.read(item)
         degraded = recipe.transform_of(item.picture).transform(image, z, entries["params"])
         recipe.write(output, degraded, item.picture)
-
-
-def _labels_note(labels: Labels, items: Sequence[Item]) -> str:
-    unlabelled = [item.name for item in items if item.name not in labels.of]
-    rest = f", not to {unlabelled[0]}" if unlabelled else ""
-    count = len(items) - len(unlabelled)
-    return f"labels, {labels.reads}, belong to {count} of {len(items)} pictures{rest}"
 
 
 class _Underwater(Work):

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from uwaug._support import checks, codec
 from uwaug._support.nouns import Fixed, Uniform
-from uwaug._support.ranges import Range
+from uwaug._support.ranges import Range, ends_of
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.underwater import Underwater
@@ -111,8 +111,9 @@ class RandomUnderwater(SampleTransform):
         keys: tuple[str, str] = ("image", "distance"),
     ) -> None:
         self.water = water if isinstance(water, RandomWater) else RandomWater(water)
-        if isinstance(distance, (int, float, tuple, list)):
-            distance = Plane(tuple(distance) if isinstance(distance, list) else distance)
+        distance = ends_of(distance) or distance
+        if isinstance(distance, (int, float, tuple)):
+            distance = Plane(distance)
         self.distance = Metres() if distance is None else distance
         cure = "Metres, Relative, Inverse, MadeUp, Network(…) or Plane of uwaug.distance"
         checks.instance("distance", self.distance, Source, f"; give {cure}")
