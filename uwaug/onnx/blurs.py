@@ -8,6 +8,8 @@ Blurs end, and are mixed, with their rows in order of phase: row 0 of all period
 so on. That is how a convolution leaves them, and only the mixture is brought into the rows' order.
 """
 
+from collections.abc import Iterator
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -42,16 +44,28 @@ class Blurs(nn.Module):
         height, row = light.shape[_ROWS], torch.arange(light.shape[_ROWS])
         # all numbers are positive, as ONNX's division truncates
         in_order = row % PERIOD * _periods(height) + row // PERIOD
-        terms, mixture = [], []
+        terms, mixture, rows = [], [], self._rows(light)
         weights = node_weights(_by_phase(widths), self.plan)
         for share, blur in zip(torch.split(weights, 1, 1), self.stack, strict=True):
             if isinstance(blur, nn.Identity):
                 terms.append(share.index_select(_ROWS, in_order) * light)
+            elif isinstance(blur, _Wide):
+                mixture.append(share * blur(next(rows), height))
             else:
                 mixture.append(share * blur(light))
         if mixture:
             terms.append(sum(mixture[1:], mixture[0]).index_select(_ROWS, in_order))
         return sum(terms[1:], terms[0])
+
+    def _rows(self, light: Tensor) -> Iterator[Tensor]:
+        """Light with its rows on the grid of each wide blur, by one product, as what takes the time
+        is to read light.
+        """
+        wide = [blur for blur in self.stack if isinstance(blur, _Wide)]
+        if wide:
+            shrink = [blur.to_grid(light.shape[_ROWS]) for blur in wide]
+            cells = [matrix.shape[0] for matrix in shrink]  # len() of it would be fixed in a graph
+            yield from torch.split(torch.cat(shrink) @ light, cells, _ROWS)
 
 
 class _Fine(nn.Module):
@@ -116,32 +130,35 @@ class _Wide(nn.Module):
         self.register_buffer("starts", starts)
         self.register_buffer("enlarge", spline.to(torch.float32))
 
-    def forward(self, x: Tensor) -> Tensor:
-        (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (
-            self._matrices(n) for n in x.shape[-2:]
-        )
-        x = (shrink_rows @ x) @ shrink_columns.t()
-        return _by_phase(enlarge_rows) @ (x @ enlarge_columns.t())
+    def forward(self, x: Tensor, height: int) -> Tensor:
+        """Blur a picture of this height whose rows are on the grid."""
+        width = x.shape[_COLUMNS]
+        x = x @ self.to_grid(width).t() @ self._from_grid(width).t()
+        return _by_phase(self._from_grid(height)) @ x
 
-    def _matrices(self, size: int) -> tuple[Tensor, Tensor]:
-        """Matrices to the grid (cells, size) and back (size, cells)."""
+    def to_grid(self, size: int) -> Tensor:
+        """Matrix (cells, size) from an axis to the grid."""
         kernel = self.get_buffer("shrink")
-        # all numbers are positive, as ONNX's division truncates
-        cells = (size + self.pitch - 1) // self.pitch + 2 * MARGIN
+        cells = self._cells(size)
         first = self.first + self.pitch * torch.arange(-MARGIN, cells - MARGIN)
         # from `size`, so that the exporter computes the indices at run time and stores none
         taps = torch.arange(size + kernel.shape[1])[: kernel.shape[1]]
         columns = reflect(first[:, None] + taps, size)
-        shrink = torch.zeros(cells, size, dtype=torch.float32).scatter_add(
-            1, columns, kernel.expand(cells, -1)
-        )
+        shrink = torch.zeros(cells, size, dtype=torch.float32)
+        return shrink.scatter_add(1, columns, kernel.expand(cells, -1))
+
+    def _from_grid(self, size: int) -> Tensor:
         px = torch.arange(size)
         pitch = torch.full((1,), self.pitch, dtype=torch.int64)
         phase = torch.remainder(px, pitch)
         first = self.get_buffer("starts")[phase] + (px - phase) // pitch + MARGIN
         columns, weights = first[:, None] + torch.arange(4), self.get_buffer("enlarge")[phase]
-        enlarge = torch.zeros(size, cells, dtype=torch.float32)
-        return shrink, enlarge.scatter_add(1, columns, weights)
+        enlarge = torch.zeros(size, self._cells(size), dtype=torch.float32)
+        return enlarge.scatter_add(1, columns, weights)
+
+    def _cells(self, size: int) -> int:
+        # all numbers are positive, as ONNX's division truncates
+        return (size + self.pitch - 1) // self.pitch + 2 * MARGIN
 
 
 def _window(first: Tensor, kernel: Tensor) -> Tensor:
