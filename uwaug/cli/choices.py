@@ -90,12 +90,12 @@ def number_or_word(text: str) -> Any:
         return text
 
 
-def with_tables(options: dict[str, Any], file: Path) -> dict[str, Any]:
-    """Options of `RandomUnderwater` with those of a TOML file in their place."""
+def with_tables(options: dict[str, Any], file: Path | None) -> dict[str, Any]:
+    """Options of `RandomUnderwater` with those of a TOML file, if any, in their place."""
     from uwaug.presets.preset import read_tables
 
     merged = dict(options)
-    for name, value in read_tables(file).items():
+    for name, value in read_tables(file).items() if file is not None else ():
         are_tables = isinstance(value, dict) and isinstance(merged.get(name), dict)
         merged[name] = merged[name] | value if are_tables else value
     return merged

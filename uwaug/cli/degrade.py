@@ -259,8 +259,7 @@ def _options(
         changes = {"water": waters[0]} if waters else {}
         options |= load_preset(preset, **changes).to_dict()
         options.pop("distance", None)  # it is of the preset's maps
-    if file is not None:
-        options = with_tables(options, file)
+    options = with_tables(options, file)
     if waters:
         options["water"]["waters"] = list(waters)
     if contrast is not None:

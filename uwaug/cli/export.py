@@ -67,10 +67,7 @@ def _transform(preset: str, water: str | None, options: Path | None) -> "RandomU
     from uwaug.presets import load_preset
     from uwaug.transforms import RandomUnderwater
 
-    transform = load_preset(preset, water=water)
-    if options is None:
-        return transform
-    values = with_tables(transform.to_dict(), options)
+    values = with_tables(load_preset(preset, water=water).to_dict(), options)
     if water is not None:
         values["water"]["waters"] = water
     return RandomUnderwater.from_dict(values)

@@ -58,12 +58,10 @@ class Blurs(nn.Module):
         return sum(terms[1:], terms[0])
 
     def _rows(self, light: Tensor) -> Iterator[Tensor]:
-        """Light with its rows on the grid of each wide blur, by one product, as what takes the time
-        is to read light.
-        """
+        """Light with rows on the grid of each wide blur, by one product: to read it takes long."""
         wide = [blur for blur in self.stack if isinstance(blur, _Wide)]
         if wide:
-            shrink = [blur.to_grid(light.shape[_ROWS]) for blur in wide]
+            shrink = [blur.matrices(light.shape[_ROWS])[0] for blur in wide]
             cells = [matrix.shape[0] for matrix in shrink]  # len() of it would be fixed in a graph
             yield from torch.split(torch.cat(shrink) @ light, cells, _ROWS)
 
@@ -132,33 +130,28 @@ class _Wide(nn.Module):
 
     def forward(self, x: Tensor, height: int) -> Tensor:
         """Blur a picture of this height whose rows are on the grid."""
-        width = x.shape[_COLUMNS]
-        x = x @ self.to_grid(width).t() @ self._from_grid(width).t()
-        return _by_phase(self._from_grid(height)) @ x
+        shrink, enlarge = self.matrices(x.shape[_COLUMNS])
+        return _by_phase(self.matrices(height)[1]) @ (x @ shrink.t() @ enlarge.t())
 
-    def to_grid(self, size: int) -> Tensor:
-        """Matrix (cells, size) from an axis to the grid."""
+    def matrices(self, size: int) -> tuple[Tensor, Tensor]:
+        """Matrices to the grid (cells, size) and back (size, cells)."""
         kernel = self.get_buffer("shrink")
-        cells = self._cells(size)
+        # all numbers are positive, as ONNX's division truncates
+        cells = (size + self.pitch - 1) // self.pitch + 2 * MARGIN
         first = self.first + self.pitch * torch.arange(-MARGIN, cells - MARGIN)
         # from `size`, so that the exporter computes the indices at run time and stores none
         taps = torch.arange(size + kernel.shape[1])[: kernel.shape[1]]
         columns = reflect(first[:, None] + taps, size)
-        shrink = torch.zeros(cells, size, dtype=torch.float32)
-        return shrink.scatter_add(1, columns, kernel.expand(cells, -1))
-
-    def _from_grid(self, size: int) -> Tensor:
+        shrink = torch.zeros(cells, size, dtype=torch.float32).scatter_add(
+            1, columns, kernel.expand(cells, -1)
+        )
         px = torch.arange(size)
         pitch = torch.full((1,), self.pitch, dtype=torch.int64)
         phase = torch.remainder(px, pitch)
         first = self.get_buffer("starts")[phase] + (px - phase) // pitch + MARGIN
         columns, weights = first[:, None] + torch.arange(4), self.get_buffer("enlarge")[phase]
-        enlarge = torch.zeros(size, self._cells(size), dtype=torch.float32)
-        return enlarge.scatter_add(1, columns, weights)
-
-    def _cells(self, size: int) -> int:
-        # all numbers are positive, as ONNX's division truncates
-        return (size + self.pitch - 1) // self.pitch + 2 * MARGIN
+        enlarge = torch.zeros(size, cells, dtype=torch.float32)
+        return shrink, enlarge.scatter_add(1, columns, weights)
 
 
 def _window(first: Tensor, kernel: Tensor) -> Tensor:
