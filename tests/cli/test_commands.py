@@ -385,6 +385,33 @@ def test_a_fit_is_a_preset(folder, run):
         assert "holds coefficients, which no water replaces" in err
 
 
+NIGHT = """
+water = {vertical_depth = 30, waters = "II"}
+view = {degrees = 40}
+light = {daylight = 0.2, lamps = [{power = 2.0, cone = 45.0}]}
+"""
+
+
+@pytest.mark.parametrize("flags", [(), ("--water", "7C"), ("--coefficients",)])
+def test_options_of_a_file_are_exported(flags, folder, run, monkeypatch):
+    def written(module, path, **options):
+        modules.append(module)
+        path.touch()
+
+    modules = []
+    monkeypatch.setattr("uwaug.onnx.export_onnx", written)
+    Path("night.toml").write_text(NIGHT)
+    line = ("export", "calibrated", "--options", "night.toml", *flags, "--out", "night.onnx")
+    code, out, err = run(*line)
+    assert (code, err) == (0, "")
+    assert len(modules[0].medium) == (15 if "--coefficients" in flags else 1)
+    assert ("7C: " if "7C" in flags else "II: ") in out
+    assert "30 m deep, g = 0.05" in out
+    lamp = uwaug.light.Lamp(power=2.0, cone=45.0)
+    assert modules[0].light == uwaug.Light([lamp], daylight=0.2)
+    assert modules[0].view.degrees == 40
+
+
 def test_a_veil_is_estimated_without_a_clean_picture(folder, run):
     z = torch.linspace(1, 9, 48 * 64).reshape(1, 48, 64)
     clean = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0)) ** 4

@@ -49,6 +49,13 @@ def test_files_agree_with_float64_eager(request, name) -> None:
     assert str(Path(uwaug.__file__).parent).encode() not in content
 
 
+@pytest.mark.parametrize("name", ["frozen", "waters"])
+def test_older_runtimes_take_the_format(request, name) -> None:
+    model = onnx.load(request.getfixturevalue(name)[0])
+    operators = {entry.domain: entry.version for entry in model.opset_import}
+    assert (model.ir_version, operators[""]) == (8, 18)  # both of ONNX Runtime 1.14, of 2023
+
+
 def test_inputs_are_named_and_explained(waters) -> None:
     def shape(value) -> list:
         return [d.dim_param or d.dim_value for d in value.type.tensor_type.shape.dim]

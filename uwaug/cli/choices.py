@@ -72,6 +72,9 @@ Preset = Annotated[
         autocompletion=complete(*list_presets()),
     ),
 ]
+Options = Annotated[
+    Path | None, typer.Option(help="TOML file of options, with tables as in a preset.")
+]
 Workers = Annotated[int, typer.Option(help="Number of processes; 0: one for each core.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on after a stop.")]
 Force = Annotated[
@@ -85,6 +88,17 @@ def number_or_word(text: str) -> Any:
         return float(text)
     except ValueError:
         return text
+
+
+def with_tables(options: dict[str, Any], file: Path | None) -> dict[str, Any]:
+    """Options of `RandomUnderwater` with those of a TOML file, if any, in their place."""
+    from uwaug.presets.preset import read_tables
+
+    merged = dict(options)
+    for name, value in read_tables(file).items() if file is not None else ():
+        are_tables = isinstance(value, dict) and isinstance(merged.get(name), dict)
+        merged[name] = merged[name] | value if are_tables else value
+    return merged
 
 
 def read_metres(distance: str, unit: str, image: "Tensor") -> "Tensor":

@@ -11,6 +11,7 @@ from uwaug.cli.choices import (
     FocalPx,
     Force,
     Holes,
+    Options,
     Preset,
     Resume,
     Unit,
@@ -18,6 +19,7 @@ from uwaug.cli.choices import (
     Workers,
     number_or_word,
     view_table,
+    with_tables,
 )
 from uwaug.cli.console import (
     counted,
@@ -87,9 +89,7 @@ def degrade(
             metavar="NAME=VALUE",
         ),
     ] = None,
-    options: Annotated[
-        Path | None, typer.Option(help="TOML file of options, with tables as in a preset.")
-    ] = None,
+    options: Options = None,
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     variants: Annotated[int, typer.Option(help="Number of variants of each picture.")] = 1,
     workers: Workers = 0,
@@ -249,7 +249,7 @@ def _options(
     contrast: str | None,
 ) -> dict[str, Any]:
     """Options of `RandomUnderwater` as plain values; later arguments replace earlier ones."""
-    from uwaug.presets.preset import load_preset, read_tables
+    from uwaug.presets.preset import load_preset
     from uwaug.transforms import RandomDevelopment, RandomWater
 
     if plain and preset is not None:
@@ -262,10 +262,7 @@ def _options(
         changes = {"water": waters[0]} if waters else {}
         options |= load_preset(preset, **changes).to_dict()
         options.pop("distance", None)  # it is of the preset's maps
-    if file is not None:
-        for name, value in read_tables(file).items():
-            are_tables = isinstance(value, dict) and isinstance(options.get(name), dict)
-            options[name] = options[name] | value if are_tables else value
+    options = with_tables(options, file)
     if waters:
         options["water"]["waters"] = list(waters)
     if contrast is not None:

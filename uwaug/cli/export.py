@@ -1,12 +1,15 @@
 """`uwaug export` and `uwaug check`: ONNX files."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uwaug.cli.choices import PLACES, WATERS, Force, Preset, Water
+from uwaug.cli.choices import PLACES, WATERS, Force, Options, Preset, Water, with_tables
 from uwaug.cli.console import end, print_written, reported_errors, require_writable, status
+
+if TYPE_CHECKING:
+    from uwaug import RandomUnderwater
 
 
 def export(
@@ -14,6 +17,7 @@ def export(
     name: Annotated[str | None, typer.Argument(help="As --preset.", metavar="PRESET")] = None,
     preset: Preset = None,
     water: Water = None,
+    options: Options = None,
     coefficients: Annotated[
         bool, typer.Option("--coefficients", help="Inputs for coefficients: a file for all waters.")
     ] = False,
@@ -32,17 +36,17 @@ def export(
     from uwaug import Medium, Underwater
     from uwaug.fitting import load_fit
     from uwaug.onnx import export_onnx
-    from uwaug.presets import load_preset
 
     with reported_errors(), status() as say:
-        if preset.endswith(".json") and water is None:
+        if preset.endswith(".json") and water is None and options is None:
             # planned for the distances of its pictures
             module = load_fit(preset).module(sides=sides)
         else:
-            module = load_preset(preset, water=water).module(sides=sides)
+            module = _transform(preset, water, options).module(sides=sides)
             if coefficients and water is None:
                 # planned for the widths of all named waters
-                media = [load_preset(preset, water=n).module().medium for n in (*WATERS, *PLACES)]
+                named = (_transform(preset, other, options) for other in (*WATERS, *PLACES))
+                media = [transform.module().medium for transform in named]
                 module = Underwater(
                     Medium.stack([module.medium, *media]),
                     module.distance_range,
@@ -51,10 +55,22 @@ def export(
                     sides=sides,
                     development=module.development,
                     light=module.light,
+                    view=module.view,
                 )
         export_onnx(module, out, coefficients=coefficients, progress=say)
     print_written(out)
     print(f"    {module.medium}")
+
+
+def _transform(preset: str, water: str | None, options: Path | None) -> "RandomUnderwater":
+    """A preset with the options of a file and a water, each in place of what comes before."""
+    from uwaug.presets import load_preset
+    from uwaug.transforms import RandomUnderwater
+
+    values = with_tables(load_preset(preset, water=water).to_dict(), options)
+    if water is not None:
+        values["water"]["waters"] = water
+    return RandomUnderwater.from_dict(values)
 
 
 def check(path: Annotated[Path, typer.Argument(help="ONNX file that uwaug has exported.")]) -> None:

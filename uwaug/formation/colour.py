@@ -122,8 +122,8 @@ def _encode(x: Tensor) -> Tensor:
 
 def _encode_positive(x: Tensor) -> Tensor:
     """What clips negative values needs no odd extension: from the knee on the line lies above."""
-    m = x.clamp(_LINEAR_KNEE, _LARGEST)
-    return torch.minimum(12.92 * x, 1.055 * (torch.exp(torch.log(m) * (1 / 2.4)) - 1) + 1)
+    m = x.clamp(min=_LINEAR_KNEE)
+    return torch.minimum(12.92 * x, 1.055 * torch.exp(torch.log(m) * (1 / 2.4)) - 0.055)
 
 
 # The same for eager mode: in place on pieces that stay in the cache, with x alone kept for the

@@ -8,6 +8,8 @@ Blurs end, and are mixed, with their rows in order of phase: row 0 of all period
 so on. That is how a convolution leaves them, and only the mixture is brought into the rows' order.
 """
 
+from collections.abc import Iterator
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -42,16 +44,26 @@ class Blurs(nn.Module):
         height, row = light.shape[_ROWS], torch.arange(light.shape[_ROWS])
         # all numbers are positive, as ONNX's division truncates
         in_order = row % PERIOD * _periods(height) + row // PERIOD
-        terms, mixture = [], []
+        terms, mixture, rows = [], [], self._rows(light)
         weights = node_weights(_by_phase(widths), self.plan)
         for share, blur in zip(torch.split(weights, 1, 1), self.stack, strict=True):
             if isinstance(blur, nn.Identity):
                 terms.append(share.index_select(_ROWS, in_order) * light)
+            elif isinstance(blur, _Wide):
+                mixture.append(share * blur(next(rows), height))
             else:
                 mixture.append(share * blur(light))
         if mixture:
             terms.append(sum(mixture[1:], mixture[0]).index_select(_ROWS, in_order))
         return sum(terms[1:], terms[0])
+
+    def _rows(self, light: Tensor) -> Iterator[Tensor]:
+        """Light with rows on the grid of each wide blur, by one product: to read it takes long."""
+        wide = [blur for blur in self.stack if isinstance(blur, _Wide)]
+        if wide:
+            shrink = [blur.matrices(light.shape[_ROWS])[0] for blur in wide]
+            cells = [matrix.shape[0] for matrix in shrink]  # len() of it would be fixed in a graph
+            yield from torch.split(torch.cat(shrink) @ light, cells, _ROWS)
 
 
 class _Fine(nn.Module):
@@ -116,14 +128,12 @@ class _Wide(nn.Module):
         self.register_buffer("starts", starts)
         self.register_buffer("enlarge", spline.to(torch.float32))
 
-    def forward(self, x: Tensor) -> Tensor:
-        (shrink_rows, enlarge_rows), (shrink_columns, enlarge_columns) = (
-            self._matrices(n) for n in x.shape[-2:]
-        )
-        x = (shrink_rows @ x) @ shrink_columns.t()
-        return _by_phase(enlarge_rows) @ (x @ enlarge_columns.t())
+    def forward(self, x: Tensor, height: int) -> Tensor:
+        """Blur a picture of this height whose rows are on the grid."""
+        shrink, enlarge = self.matrices(x.shape[_COLUMNS])
+        return _by_phase(self.matrices(height)[1]) @ (x @ shrink.t() @ enlarge.t())
 
-    def _matrices(self, size: int) -> tuple[Tensor, Tensor]:
+    def matrices(self, size: int) -> tuple[Tensor, Tensor]:
         """Matrices to the grid (cells, size) and back (size, cells)."""
         kernel = self.get_buffer("shrink")
         # all numbers are positive, as ONNX's division truncates

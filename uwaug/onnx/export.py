@@ -32,6 +32,7 @@ from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
 _OPSET = 18  # operator set of the file, the first that can add scattered values
+_IR = 8  # version of the file's format, the lowest for this set: older runtimes refuse newer ones
 _TORCH = (2, 13)  # oldest release of torch that exports; 2.6 cannot trace free sizes
 # names of free sizes
 _FREE = {
@@ -72,8 +73,8 @@ def export_onnx(
         TypeError, ValueError: if the module cannot be exported, or the file fails its check.
 
     Examples:
-        >>> module = uwaug.load_preset("survey").module(sides=(32, 2160))  # doctest: +SKIP
-        >>> uwaug.onnx.export_onnx(module, "survey.onnx")  # doctest: +SKIP
+        >>> module = uwaug.load_preset("calibrated").module(sides=(32, 2160))  # doctest: +SKIP
+        >>> uwaug.onnx.export_onnx(module, "calibrated.onnx")  # doctest: +SKIP
     """
     path = Path(path)
     onnx, *_ = require("onnx", "onnx", "onnxscript", "onnxruntime")
@@ -219,6 +220,7 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
         )
     assert exported is not None
     model = exported.model_proto
+    model.ir_version = _IR
     _drop_traces(model.graph)
     model.graph.doc_string = f"{module.medium}; {plan}"
     # names of free sizes; the output has those of the image

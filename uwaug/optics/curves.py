@@ -53,10 +53,8 @@ def curves(sums: Sums, z: Tensor) -> Curves:
     exponentials = _exponentials(sums, z)
     b = exponentials.shape[0]  # len() of it would be fixed in a graph
     channels = (3, 3) if sums.is_spectral else (3,)
-    if torch.compiler.is_compiling():  # ONNX Runtime would copy the parts of one product
-        parts = [weights @ exponentials for weights in _parts(sums.weights)]
-    else:  # three products take half as long again
-        parts = _parts(sums.weights.expand(b, -1, -1) @ exponentials)
+    # three products take half as long again
+    parts = _parts(sums.weights.expand(b, -1, -1) @ exponentials)
     shapes = ((b, *channel, *z.shape[-2:]) for channel in (channels, channels, (3,)))
     return Curves(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
 
@@ -91,8 +89,6 @@ def _mixed(weights: Tensor, light: Tensor) -> tuple[Tensor, ...]:
 def _parts(rows: Tensor) -> list[Tensor]:
     """Split rows (Bx9xR or Bx21xR) into those of the three curves."""
     count = (rows.shape[1] - 3) // 2
-    if torch.compiler.is_compiling():  # the exporter of ONNX tells the user of each split
-        return [rows[:, :count], rows[:, count : 2 * count], rows[:, 2 * count :]]
     # gradients of slices would each fill all rows with zeros
     return list(torch.split(rows, [count, count, 3], 1))
 
