@@ -450,6 +450,21 @@ def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
     assert rows["waters"]["7C"]["beta"] == medium.beta.float().tolist()
 
 
+def test_waters_of_ones_own_are_listed_and_drawn(folder, run):
+    (folder / "site.csv").write_text("nm;a;b;kd\n400;0,1;0,2;0,1\n700;0,6;0,1;0,7\n")
+    code, out, _ = run("waters", "site.csv", "chlorophyll=5", "--plot", "waters.png")
+    assert code == 0
+    assert "site, yours" in out
+    assert (folder / "waters.png").stat().st_size > 0
+    assert run("waters", "--plot", "waters.png")[0] == 2  # it is there
+    code, _, err = run("waters", "nowhere.csv")
+    assert (code, "nowhere.csv" in err) == (1, True)
+    scene = ("photos/a.png", "--distance", "3", "--water", "site.csv", "--out", "systems.jpg")
+    code, _, err = run("compare", *scene, "--system", "UWCNN")
+    assert (code, "knows the ten Jerlov types alone" in err) == (2, True)
+    assert run("compare", *scene, "--system", "jaffe-1990", "--system", "hou-2020")[0] == 0
+
+
 @pytest.mark.parametrize("name", sorted({*uwaug.list_presets()} - {"night"}))
 def test_what_is_shown_of_a_preset_is_its_file(run, tmp_path, name):
     code, out, _ = run("preset", "show", name)

@@ -169,10 +169,9 @@ def fit_water(
     Examples:
         >>> import torch, uwaug
         >>> clean, z = torch.rand(3, 60, 80), torch.linspace(1, 6, 4800).reshape(1, 60, 80)
-        >>> water = uwaug.Medium.from_water("5C", g=0.05, surfaces="spectral")
+        >>> water = uwaug.Medium.from_water("5C", surfaces="spectral")
         >>> observed = uwaug.Underwater(water)(clean, z)
-        >>> options = {"point_spread": uwaug.PointSpread.paper(), "pixels": 500, "progress": False}
-        >>> uwaug.fitting.fit_water(clean, observed, z, **options).model
+        >>> uwaug.fitting.fit_water(clean, observed, z, pixels=500, progress=False).model
         '5C'
     """
     say = checked_options(pixels, seed, progress)
