@@ -15,8 +15,8 @@ from uwaug import (
 )
 from uwaug.figures import comparison, demo
 from uwaug.figures.demo import preset_case, water_case
-from uwaug.formation.colour import decoded
 from uwaug.figures.spectra import draw_spectra
+from uwaug.formation.colour import decoded
 from uwaug.presets.scene import Scene
 
 
