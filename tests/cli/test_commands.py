@@ -12,6 +12,7 @@ from filing import save
 from PIL import ExifTags, Image
 
 import uwaug
+from uwaug.cli.fit import _jpeg_quality
 from uwaug.distance import MadeUp, Metres, Plane, Relative
 from uwaug.files import Recipe, find_items
 from uwaug.files.prepare import prepare
@@ -383,6 +384,15 @@ def test_a_fit_is_a_preset(folder, run):
         code, _, err = run(*line.split(), "--preset", "fit.json", "--water", "II")
         assert code == 2
         assert "holds coefficients, which no water replaces" in err
+
+
+@pytest.mark.parametrize("quality", [95, 75, 30, 20])
+def test_the_quality_of_a_jpeg_file(tmp_path, quality):
+    picture = Image.fromarray(np.random.default_rng(0).integers(0, 255, (16, 24, 3), np.uint8))
+    for ending, expected in (("jpg", quality), ("png", None)):
+        path = tmp_path / f"a.{ending}"
+        picture.save(path, quality=quality)
+        assert _jpeg_quality(path) == (expected and pytest.approx(expected, abs=1))
 
 
 def test_a_veil_is_estimated_without_a_clean_picture(folder, run):
