@@ -128,4 +128,4 @@ def _jpeg_quality(path: Path) -> int | None:
         return None
     percent = 100 * sum(table) / _JPEG_TABLE_SUM
     quality = (200 - percent) / 2 if percent <= 100 else 5000 / percent
-    return min(max(round(quality), 1), 100)
+    return int(min(max(round(quality), 1), 100))
