@@ -227,7 +227,8 @@ def fits() -> str:
         f"**Fits** (`python -m benchmarks.accuracy.fitting_recovery`): {found['runs']} random "
         f"waters, 250×370, 1 % noise, 8 bits, model `auto`. {found['covered_percent']:.0f} % of "
         f"{found['numbers']} intervals hold the truth. Median errors are {off}. `auto` picks the "
-        f"model that made the picture in {found['right_model_percent']:.0f} %. {_files(found['files'])}"
+        f"model that made the picture in {found['right_model_percent']:.0f} %. "
+        + _files(found["files"])
     )
 
 
