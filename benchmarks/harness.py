@@ -203,7 +203,8 @@ def water_medium(water: str, widest: float = WIDEST, **options: Any) -> Medium:
 
     The default is the range that the issue names.
     """
-    medium = Medium.from_water(Water.jerlov(water), point_spread=PointSpread(1.0), **options)
+    law = PointSpread(1.0)
+    medium = Medium.from_water(Water.jerlov(water), g=0.2, point_spread=law, **options)
     return replace(medium, scale=widest / DISTANCES[1] / medium.b_mean)
 
 

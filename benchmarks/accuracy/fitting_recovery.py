@@ -1,9 +1,11 @@
 """Fits of random waters that are known: are the numbers right, and their errors?
 
 `python -m benchmarks.accuracy.fitting_recovery` fits 200 pictures (250×370, 1 % noise, 8 bits),
-writes results/fitting_recovery.json and prints the shares that matter.
+then 100 smaller ones with .5 % noise for each way to store them, writes
+results/fitting_recovery.json and prints the shares that matter.
 """
 
+import io
 import time
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from PIL import Image
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -29,22 +32,24 @@ NOISE = 0.01  # standard deviation, of linear light
 WIDTH = 370  # px, half of the scene
 KINDS = ("exponential", "gaussian", "exponential", "narrow")
 MAIN = ("beta", "G", "veil")
+STORED, STORED_NOISE, STORED_WIDTH = 100, 0.005, 185  # runs, linear light, px
+FILES: dict[str, int | None] = {"8 bits": None, "16 bits": None, "JPEG 95": 95, "JPEG 75": 75}
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Row = dict[str, Any]
 
 
-@lru_cache(maxsize=1)
-def view() -> Scene:
+@lru_cache(maxsize=2)
+def view(width: int = WIDTH) -> Scene:
     """The scene of the package, half as large and in linear light."""
     scene = motorcycle()
     height, whole = scene.image.shape[-2:]
-    size = (round(height * WIDTH / whole), WIDTH)
+    size = (round(height * width / whole), width)
     light, distance = (
         interpolate(x[None].double(), size, mode="area")[0]
         for x in (srgb_to_linear(scene.image.double()), scene.distance)
     )
-    return Scene(light, distance, scene.view.resized(WIDTH / whole))
+    return Scene(light, distance, scene.view.resized(width / whole))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +83,7 @@ def random_truth(kind: str, rng: np.random.Generator, scene: Scene) -> Truth:
     beta = np.exp(rng.uniform(np.log(0.08), np.log(0.8), 3))
     G = beta * rng.uniform(0.1, 0.8, 3)
     veil = rng.uniform(0.05, 0.6, 3)
-    known = PointSpread.calibrated().scale * scene.view.focal(WIDTH)
+    known = PointSpread.calibrated().scale * scene.view.focal(scene.image.shape[-1])
     wider = known * float(np.exp(rng.uniform(-0.4, 0.4)))
     exponent, coefficient = float(rng.uniform(0.45, 0.8)), float(rng.uniform(0.3, 0.8))
     paper = min(scene.distance.shape[-2:]) / PAPER_SIDE
@@ -91,20 +96,48 @@ def random_truth(kind: str, rng: np.random.Generator, scene: Scene) -> Truth:
     return Truth(beta, G, veil, law)
 
 
-def photographed(truth: Truth, scene: Scene, rng: np.random.Generator) -> Tensor:
-    """The picture with noise, in 8 bits of sRGB."""
+def photographed(
+    truth: Truth, scene: Scene, rng: np.random.Generator, noise: float = NOISE
+) -> Tensor:
+    """The picture with noise, sRGB."""
     rows = (torch.from_numpy(x) for x in (truth.beta, truth.G, truth.veil))
     water = Medium.from_coefficients(*rows, b_mean=truth.b_mean, point_spread=truth.law)
     light = form_image(scene.image, scene.distance, water, tolerance=1e-4).image
-    noisy = light + NOISE * torch.from_numpy(rng.standard_normal(light.shape))
-    return (255 * linear_to_srgb(noisy.clamp(0, 1))).round().to(torch.uint8)
+    noisy = light + noise * torch.from_numpy(rng.standard_normal(light.shape))
+    return linear_to_srgb(noisy.clamp(0, 1))
+
+
+def stored(picture: Tensor, kind: str) -> Tensor:
+    """A picture as a file of `FILES` holds it."""
+    if kind == "16 bits":
+        return (65535 * picture).round() / 65535
+    values = (255 * picture).round().to(torch.uint8)
+    quality = FILES[kind]
+    if quality is None:
+        return values
+    file = io.BytesIO()
+    Image.fromarray(values.permute(1, 2, 0).numpy()).save(file, "JPEG", quality=quality)
+    return torch.from_numpy(np.array(Image.open(file))).permute(2, 0, 1)
+
+
+def recovered_from_files(seed: int, kind: str, pixels: int = 4000) -> Row:
+    """As `recovered`, of two files of a kind and the right model."""
+    rng, scene = np.random.default_rng(seed), view(STORED_WIDTH)
+    truth = random_truth("exponential", rng, scene)
+    wet = stored(photographed(truth, scene, rng, STORED_NOISE), kind)
+    dry = stored(linear_to_srgb(scene.image), kind)
+    began = time.perf_counter()
+    options = {"model": "exponential", "pixels": pixels, "progress": False}
+    found = fit(dry, wet, scene.distance, jpeg=FILES[kind], **options)
+    row = {"kind": "exponential", "model": found.model, "numbers": _rows(truth, found)}
+    return {**row, "seconds": time.perf_counter() - began}
 
 
 def recovered(seed: int, pixels: int = 20_000) -> Row:
     """A run: its water, and of each number truth, value, standard error, interval, state."""
     rng, scene, kind = np.random.default_rng(seed), view(), KINDS[seed % len(KINDS)]
     truth = random_truth(kind, rng, scene)
-    observed = photographed(truth, scene, rng)
+    observed = stored(photographed(truth, scene, rng), "8 bits")
     began = time.perf_counter()
     clean = linear_to_srgb(scene.image)
     found = fit(clean, observed, scene.distance, pixels=pixels, progress=False)
@@ -159,6 +192,11 @@ def main(quick: bool = False) -> None:
         print(".", end="", flush=True)
     results = summarised(rows)
     print(f"\n{results}")
+    results["files"] = {}
+    for kind in FILES:
+        runs = [recovered_from_files(seed, kind) for seed in range(1 if quick else STORED)]
+        results["files"][kind] = summarised(runs)
+        print(kind, results["files"][kind], flush=True)
     if not quick:
         print(save("fitting_recovery", results))
 

@@ -21,6 +21,7 @@ from uwaug import (
     KeepVisible,
     MarineSnow,
     Medium,
+    PointSpread,
     RandomDevelopment,
     RandomUnderwater,
     RandomWater,
@@ -31,7 +32,6 @@ from uwaug import (
 )
 from uwaug.distance import MadeUp, Metres, from_relative
 from uwaug.figures.sheet import Cell, coloured, save, sheet
-from uwaug.optics.scattering import Scattering
 from uwaug.presets.scene import Scene, motorcycle
 
 WATERS = {"II": 1.0, "7C": 0.2}
@@ -229,8 +229,7 @@ def reds(scene: Scene) -> Image.Image:
 
     def cell(surfaces: str, depth: float) -> Cell:
         is_spectral = surfaces == "spectral"
-        scattering = Scattering.CALIBRATED
-        medium = Medium.from_water("II", vertical_depth=depth, g=scattering.g, surfaces=surfaces)
+        medium = Medium.from_water("II", vertical_depth=depth, surfaces=surfaces)
         camera = Development(exposure="auto", gamut=float(is_spectral))
         label = f"{depth:g} m, {'spectra' if is_spectral else 'one number a channel'}"
         return Underwater(medium, development=camera)(image, distance), label
@@ -264,7 +263,8 @@ def depth_scaling(scene: Scene) -> Image.Image:
         maps[f"exponent {gamma:g}"] = z
     rows = [[(coloured(z, (0.0, 20.0)), f"distance, {label}") for label, z in maps.items()]]
     for name in ("II", "7C"):
-        degrade = Underwater(Medium.from_water(name), None)
+        medium = Medium.from_water(name, g=0.2, point_spread=PointSpread.paper())
+        degrade = Underwater(medium, None)
         rows.append([(degrade(scene.image, z), f"{name}, {label}") for label, z in maps.items()])
     return sheet(rows)
 

@@ -227,7 +227,22 @@ def fits() -> str:
         f"**Fits** (`python -m benchmarks.accuracy.fitting_recovery`): {found['runs']} random "
         f"waters, 250×370, 1 % noise, 8 bits, model `auto`. {found['covered_percent']:.0f} % of "
         f"{found['numbers']} intervals hold the truth. Median errors are {off}. `auto` picks the "
-        f"model that made the picture in {found['right_model_percent']:.0f} %."
+        f"model that made the picture in {found['right_model_percent']:.0f} %. "
+        + _files(found["files"])
+    )
+
+
+def _files(found: dict[str, Any]) -> str:
+    """How many intervals hold the truth, by the files that pictures come from."""
+    cells = []
+    for name, row in found.items():
+        states = row["states"]
+        told = 100 * row["numbers"] / sum(states.values())
+        cells.append(f"{row['covered_percent']:.0f} % from {name} ({told:.0f} % are told)")
+    runs = next(iter(found.values()))["runs"]
+    return (
+        f"Of {runs} smaller pictures (125×185, .5 % noise, the right model), both from files, "
+        f"intervals hold the truth in {', '.join(cells)}."
     )
 
 

@@ -118,7 +118,7 @@ def file_against_loops(rounds: int = 15) -> dict[str, Any]:
     """
     use_threads(1)
     metered = uwaug.Development(metered=True)
-    medium = uwaug.Medium.from_water("7C")
+    medium = uwaug.Medium.from_water("7C", g=0.2, point_spread=uwaug.PointSpread.paper())
     module = uwaug.Underwater(medium, (0.5, 10.0), sides=(512, 512), development=metered)
     image, distance = scene(512)
     run = exported(module, 1)

@@ -76,7 +76,7 @@ def test_descent_finds_the_scene(deepinv: Any) -> None:
         return float((found - x).square().mean().sqrt())
 
     guess = y
-    for _ in range(30):
+    for _ in range(60):
         guess = guess - 3 * fidelity.grad(guess, y, physics)
     assert off(guess) < 0.05 * off(y)
     assert off(physics.A_dagger(y)) < 0.6 * off(y)

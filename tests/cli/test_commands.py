@@ -12,6 +12,7 @@ from filing import save
 from PIL import ExifTags, Image
 
 import uwaug
+from uwaug.cli.fit import _jpeg_quality
 from uwaug.distance import MadeUp, Metres, Plane, Relative
 from uwaug.files import Recipe, find_items
 from uwaug.files.prepare import prepare
@@ -412,6 +413,15 @@ def test_options_of_a_file_are_exported(flags, folder, run, monkeypatch):
     assert modules[0].view.degrees == 40
 
 
+@pytest.mark.parametrize("quality", [95, 75, 30, 20])
+def test_the_quality_of_a_jpeg_file(tmp_path, quality):
+    picture = Image.fromarray(np.random.default_rng(0).integers(0, 255, (16, 24, 3), np.uint8))
+    for ending, expected in (("jpg", quality), ("png", None)):
+        path = tmp_path / f"a.{ending}"
+        picture.save(path, quality=quality)
+        assert _jpeg_quality(path) == (expected and pytest.approx(expected, abs=1))
+
+
 def test_a_veil_is_estimated_without_a_clean_picture(folder, run):
     z = torch.linspace(1, 9, 48 * 64).reshape(1, 48, 64)
     clean = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0)) ** 4
@@ -475,6 +485,21 @@ def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
     assert {*uwaug.JERLOV_TYPES, "harbour"} <= set(rows["waters"])
     medium = uwaug.load_preset("survey", water="7C").module().medium
     assert rows["waters"]["7C"]["beta"] == medium.beta.float().tolist()
+
+
+def test_waters_of_ones_own_are_listed_and_drawn(folder, run):
+    (folder / "site.csv").write_text("nm;a;b;kd\n400;0,1;0,2;0,1\n700;0,6;0,1;0,7\n")
+    code, out, _ = run("waters", "site.csv", "chlorophyll=5", "--plot", "waters.png")
+    assert code == 0
+    assert "site, yours" in out
+    assert (folder / "waters.png").stat().st_size > 0
+    assert run("waters", "--plot", "waters.png")[0] == 2  # it is there
+    code, _, err = run("waters", "nowhere.csv")
+    assert (code, "nowhere.csv" in err) == (1, True)
+    scene = ("photos/a.png", "--distance", "3", "--water", "site.csv", "--out", "systems.jpg")
+    code, _, err = run("compare", *scene, "--system", "UWCNN")
+    assert (code, "knows the ten Jerlov types alone" in err) == (2, True)
+    assert run("compare", *scene, "--system", "jaffe-1990", "--system", "hou-2020")[0] == 0
 
 
 @pytest.mark.parametrize("name", sorted({*uwaug.list_presets()} - {"night"}))

@@ -15,6 +15,7 @@ from uwaug import (
 )
 from uwaug.figures import comparison, demo
 from uwaug.figures.demo import preset_case, water_case
+from uwaug.figures.spectra import draw_spectra
 from uwaug.formation.colour import decoded
 from uwaug.presets.scene import Scene
 
@@ -97,6 +98,24 @@ def test_systems_are_compared_in_one_water(shown, small):
     assert "hou-2020" in shown
 
 
+def test_a_water_of_spectra_is_drawn_by_all_that_take_spectra(shown, small):
+    comparison.draw_comparison(small, "chlorophyll=2", stretch=0.2)
+    assert {*published.systems()} - {*shown} == {"li-2020", "slurpp-2025"}
+    assert "Left out, as they know Jerlov types alone: li-2020, slurpp-2025." in shown["caption"]
+    with pytest.raises(ValueError, match="ten Jerlov types alone, got UWCNN with 'chlorophyll=2'"):
+        comparison.draw_comparison(small, "chlorophyll=2", ["hou-2020", "UWCNN"])
+
+
 def test_a_stretch_that_is_no_factor_is_refused(small):
     with pytest.raises(ValueError, match="stretch must be finite and > 0, got 0"):
         comparison.draw_comparison(small, "7C", stretch=0)
+
+
+def test_spectra_are_drawn_with_ones_own():
+    own = Water([400, 700], a=[0.1, 0.4], b=[0.2, 0.1], kd=[0.2, 0.5], name="site")
+    figure = draw_spectra([own], [Water.jerlov("I"), Water.jerlov("9C")])
+    for axis, name in zip(figure.axes, ("a", "b", "kd"), strict=True):
+        lines = {line.get_label(): line for line in axis.lines}
+        assert list(lines) == ["I", "9C", "site"]
+        assert lines["site"].get_ydata().tolist() == getattr(own, name).tolist()
+        assert lines["9C"].get_ydata().tolist() == getattr(Water.jerlov("9C"), name).tolist()

@@ -8,9 +8,11 @@ import pytest
 import torch
 from fitted import HAZE, STONES, errors, medium, objective, seen, veil_water, veiled
 
+import uwaug
 from uwaug._support.threads import one_thread
 from uwaug.fitting import fit_veil
 from uwaug.fitting.choose import FittedModel, cross_validated, one_standard_error_rule
+from uwaug.fitting.data import _through_jpeg
 from uwaug.fitting.errors import covariance_of, parameter, parameters
 from uwaug.fitting.model import Quantity
 from uwaug.fitting.solve import guess, influence, loss, multistart, noise, reweighed, solve
@@ -182,3 +184,32 @@ def test_held_out_loss_is_more_than_that_of_the_fit(settled):
     fitted = cross_validated(problem, solution, 0)
     assert 2 * solution.cost < fitted.loss < 2.2 * solution.cost
     np.testing.assert_array_equal(fitted.losses, cross_validated(problem, solution, 0).losses)
+
+
+@pytest.mark.parametrize("jpeg", [None, 95])
+def test_what_a_file_loses_is_part_of_the_errors(jpeg):
+    rng = torch.Generator().manual_seed(0)
+    clean = torch.nn.functional.interpolate(
+        torch.rand(1, 3, 15, 20, generator=rng), scale_factor=4, mode="bilinear"
+    )[0]
+    z = torch.linspace(1, 5, 60 * 80).reshape(1, 60, 80)
+    rates = (0.5, 0.2, 0.3)
+    observed = uwaug.Underwater(uwaug.Medium.from_coefficients(rates, rates, (0.1, 0.3, 0.4)))(
+        clean, z
+    )
+    values = (255 * observed).round().to(torch.uint8)
+    if jpeg is not None:
+        values = _through_jpeg(values, jpeg)
+    options = {"model": "haze", "gain": "fixed", "progress": False}
+    known = uwaug.fit(clean, values, z, jpeg=jpeg, **options)
+    # as if it were a file without loss: values between the levels
+    between = (values / 255 + 2e-5).clamp(max=1)
+    unknown = uwaug.fit(clean, between, z, **options)
+    for name, rate in zip(("beta_red", "beta_green", "beta_blue"), rates, strict=True):
+        number = known.parameters[name]
+        assert number.low <= rate <= number.high
+        assert number.error > 0.95 * unknown.parameters[name].error
+    if jpeg is not None:
+        assert known.errors["beta_green"] > 1.2 * unknown.errors["beta_green"]
+        with pytest.raises(ValueError, match="jpeg must be"):
+            uwaug.fit(clean, values, z, jpeg=0, **options)

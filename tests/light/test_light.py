@@ -96,7 +96,7 @@ def test_what_arrives_is_the_spectral_integral() -> None:
     terms = form_image(image, z, medium, light=light)
     far = math.sqrt(5 + 0.03**2)
     water, camera = Water.jerlov("7C").at(WAVELENGTHS), load_camera("Nikon 5100 (NPL)")
-    G = water.a + Scattering.PAPER.g * water.b
+    G = water.a + Scattering.CALIBRATED.g * water.b
     wanted = 4.0 / far**2 * torch.from_numpy(camera.weights(WAVELENGTHS).T @ np.exp(-G * (2 + far)))
     found = (terms.direct + terms.forward)[0, :, 5, 7]
     torch.testing.assert_close(found, wanted, rtol=0, atol=2e-6)

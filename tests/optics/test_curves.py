@@ -34,7 +34,7 @@ def test_curves_of_rates_that_are_spent_within_a_millimetre() -> None:
     # all of their light is gone before a distance that anyone would look at
     water = Water([400, 700], a=[20.0, 9e3], b=[3e3, 1e3], kd=[20.0, 9e3])
     z = np.geomspace(1e-7, 1.0, 2000)
-    medium = Medium.from_water(water, vertical_depth=0.0)
+    medium = Medium.from_water(water, vertical_depth=0.0, g=0.2, mu=0.3)
     assert max(errors(medium, water, z, depth=0.0, g=0.2, mu=0.3)) <= 0.002
 
 
@@ -62,7 +62,7 @@ def test_no_more_rates_than_needed(type: str) -> None:
     water, z = Water.jerlov(type), np.concatenate([Z, np.geomspace(20, 1e4, 200)])
 
     def medium(tolerance: float) -> Medium:
-        return Medium.from_water(water, vertical_depth=0.0, tolerance=tolerance)
+        return Medium.from_water(water, vertical_depth=0.0, g=0.2, mu=0.3, tolerance=tolerance)
 
     tried = [medium(tolerance) for tolerance in np.geomspace(0.3, 0.0004, 60)]
     for curves, rates in ((slice(0, 1), "beta"), (slice(1, 3), "G")):
@@ -77,7 +77,7 @@ def test_no_more_rates_than_needed(type: str) -> None:
 
 def test_the_error_in_the_repr_is_the_error() -> None:
     water = Water.jerlov("9C")
-    medium = Medium.from_water(water, tolerance=0.0005)
+    medium = Medium.from_water(water, g=0.2, mu=0.3, tolerance=0.0005)
     claimed = float(repr(medium).split("within ")[1].split()[0])
     assert max(errors(medium, water, depth=1.0, g=0.2, mu=0.3)) <= 1.1 * claimed
 

@@ -223,7 +223,8 @@ def test_copies(twin: str) -> None:
 
 def test_repr_says_what_it_models() -> None:
     text = repr(Medium.from_water("3C"))
-    said = ("3C", "2 + 2 rates", "at any distance", "g = 0.2", "μ = 0.3", "gaussian", "518 px")
+    numbers = ("2 + 3 rates", "g = 0.05", "μ = 0.075", "0.03·(b̄ z)^0.62 focal lengths")
+    said = ("3C", "at any distance", "exponential", *numbers)
     assert [part for part in said if part not in text] == []
     assert "2 more" in repr(Medium.stack([coastal()] * 3))
     assert "no blur" in repr(Medium.from_coefficients(**COEFFICIENTS))

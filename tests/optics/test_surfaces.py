@@ -18,7 +18,8 @@ OWN = [[1.9, -0.7, -0.2], [-0.3, 1.6, -0.3], [0.1, -0.8, 1.7]]  # as a DNG file 
 
 
 def medium_of(water: str | Water = "3C", **options: Any) -> Medium:
-    return Medium.from_water(water, **{"surfaces": "spectral", "vertical_depth": 0.0, **options})
+    known = {"surfaces": "spectral", "vertical_depth": 0.0, **SCATTERING}
+    return Medium.from_water(water, **{**known, **options})
 
 
 def camera_of(own: Any = None) -> Camera:

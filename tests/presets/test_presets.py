@@ -203,10 +203,7 @@ def test_a_camera_that_develops_spectral_surfaces(tmp_path):
     for name, value in numbers.items():
         path = edited(tmp_path, path, rf"^{name} = .*", f"{name} = {value}")
     preset = load_preset(path, water="II")
-    law = PointSpread.calibrated()
-    medium = Medium.from_water(
-        "II", g=0.05, point_spread=law, surfaces="spectral", color_matrix=0.7
-    )
+    medium = Medium.from_water("II", surfaces="spectral", color_matrix=0.7)
     image, z = rand(3, 20, 24).float(), torch.full((1, 20, 24), 3.0)
     expected = Underwater(medium, (0.7, 6.5), development=Development(**numbers))(image, z)
     assert torch.equal(preset.module()(image, z), expected)
@@ -217,7 +214,7 @@ def test_a_camera_that_develops_spectral_surfaces(tmp_path):
 def test_water_and_camera_in_place_of_the_files(tmp_path):
     camera = Camera([400, 500, 600, 700], [[0, 0, 1], [0, 1, 1], [1, 1, 0], [1, 0, 0]], "box")
     ours = medium_of(load_preset("survey", camera=camera))
-    paper = {"g": 0.2, "mu": 0.3}
+    paper = {"g": 0.2, "mu": 0.3, "point_spread": PointSpread.paper()}
     assert same(ours, Medium.from_water("7C", camera, **paper))
     (tmp_path / "box.csv").write_text("wavelength,R,G,B\n400,0,0,1\n550,0,1,0\n700,1,0,0\n")
     (tmp_path / "harbour.csv").write_text("wavelength,a,b,kd\n400,.5,1,.7\n700,.7,1,.8\n")

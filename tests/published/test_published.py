@@ -11,7 +11,7 @@ from referees import reference, systems
 from referees.systems import LINEAR, SPECTRAL, Scene
 
 import uwaug
-from uwaug import JERLOV_TYPES, Lamp, Medium, Underwater, Water, published
+from uwaug import JERLOV_TYPES, Lamp, Medium, PointSpread, Underwater, Water, published
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.published.equation import OTHER_NAMES, BandedWater
 from uwaug.published.models import SLURPP, UWCNN
@@ -102,7 +102,8 @@ def test_the_blur_of_each_pixel_is_within_the_tolerance(shape):
 
 
 def test_the_paper_is_the_packages_own_model():
-    medium = Medium.from_water("7C", g=0.2, mu=0.3, tolerance=0)
+    law = PointSpread.paper()
+    medium = Medium.from_water("7C", g=0.2, mu=0.3, point_spread=law, tolerance=0)
     theirs = Underwater(medium, (0.1, 10.0), color_space="linear")(IMAGE, Z)
     assert (published.ismiroglou_2025(IMAGE, Z, "7C") - theirs).abs().max() < 1e-3
 

@@ -39,7 +39,7 @@ _COMMANDS = (
     ("Pictures", page, "--image photo.jpg --distance depth.png --unit mm --holes behind --open"),
     ("Pictures", demo, ""),
     ("Waters", fit, "--clean air.png --observed wet.png --distance depth.npy --out fit.json"),
-    ("Waters", waters, ""),
+    ("Waters", waters, "site.csv --plot waters.png"),
     ("ONNX files", export, "--preset survey --water 7C --out 7C.onnx"),
     ("ONNX files", check, "7C.onnx"),
     ("This machine", warm_up, ""),

@@ -73,7 +73,11 @@ def compare(
     holes: Holes = "error",
     water: Water = "II",
     system: Annotated[
-        list[str] | None, typer.Option(help="Published system; repeat it for more. All by default.")
+        list[str] | None,
+        typer.Option(
+            help="Published system; repeat it for more. By default all, but of a water that is no "
+            "Jerlov type li-2020 (UWCNN) and slurpp-2025 know nothing."
+        ),
     ] = None,
     stretch: Annotated[
         float, typer.Option(help="Factor of all distances: .2 brings the scene 5 times nearer.")

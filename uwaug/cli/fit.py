@@ -17,6 +17,8 @@ from uwaug.cli.choices import (
 )
 from uwaug.cli.console import print_written, reported_errors, require_writable
 
+_JPEG_TABLE_SUM = 3688  # of the standard's table for luminance, which is quality 50
+
 
 def fit(
     observed: Annotated[Path, typer.Option(help="Picture of the scene in the water.")],
@@ -99,14 +101,31 @@ def fit(
             if darkest is not None:
                 options["darkest"] = darkest
             result = fit_veil(wet, z, **options)
-        elif model == "waters":
-            options |= {"surfaces": surfaces, "view": uwaug.View(**table)}
-            result = fit_water(read_picture(clean), wet, z, **options)
         else:
-            result = uwaug.fit(read_picture(clean), wet, z, model=model, gain=gain, **options)
+            dry, options["jpeg"] = read_picture(clean), _jpeg_quality(observed)
+            if model == "waters":
+                options |= {"surfaces": surfaces, "view": uwaug.View(**table)}
+                result = fit_water(dry, wet, z, **options)
+            else:
+                result = uwaug.fit(dry, wet, z, model=model, gain=gain, **options)
         result.save(out)
         print(result.summary())
         print_written(out)
         if figure is not None:
             result.plot().savefig(figure)
             print_written(figure)
+
+
+def _jpeg_quality(path: Path) -> int | None:
+    """Quality of a JPEG file by its table for luminance, 1…100; None of other files."""
+    from PIL import Image
+
+    if path.suffix.lower() not in (".jpg", ".jpeg"):
+        return None
+    with Image.open(path) as image:
+        table = getattr(image, "quantization", {}).get(0)
+    if not table:
+        return None
+    percent = 100 * sum(table) / _JPEG_TABLE_SUM
+    quality = (200 - percent) / 2 if percent <= 100 else 5000 / percent
+    return int(min(max(round(quality), 1), 100))

@@ -2,12 +2,13 @@
 
 import json
 from contextlib import suppress
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from uwaug.cli.choices import PLACES, WATERS, Preset, complete
-from uwaug.cli.console import reported_errors
+from uwaug.cli.choices import PLACES, WATERS, Force, Preset, complete
+from uwaug.cli.console import print_written, reported_errors, require_writable
 from uwaug.presets.files import list_presets, preset_path
 
 _TABLE_COLUMNS = 250  # more letters than any row has
@@ -59,19 +60,32 @@ def show(
 
 
 def waters(
+    own: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[WATER]...",
+            help="Waters of your own beside those with names: contents, or CSV files.",
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="PNG file to write: a, b and K_d of all of them.")
+    ] = None,
     as_json: Annotated[
         bool,
         typer.Option("--json", help="Print rows for the inputs of uwaug export --coefficients."),
     ] = False,
     preset: Preset = "survey",
+    force: Force = False,
 ) -> None:
     """List the waters: visibility, attenuation, doubts. Or, as JSON, their numbers in a preset."""
+    if plot is not None:
+        require_writable(plot, force=force, endings=(".png",))
+    names = (*(own or ()), *WATERS, *PLACES)
     if as_json:
         from uwaug.onnx import input_rows
         from uwaug.presets import load_preset
 
         with reported_errors():
-            names = (*WATERS, *PLACES)
             modules = {name: load_preset(preset or "", water=name).module() for name in names}
         media = {name: module.medium for name, module in modules.items()}
         rows = {"preset": preset, **input_rows(media, modules[WATERS[0]].light)}
@@ -81,6 +95,7 @@ def waters(
     from rich.table import Table
 
     from uwaug import Constituents, load_camera, load_water
+    from uwaug._support.extras import require
     from uwaug.optics.constituents import PLACES as CONTENTS
     from uwaug.optics.jerlov import IN_WORDS
     from uwaug.optics.spectra import WAVELENGTHS
@@ -92,11 +107,12 @@ def waters(
     table.add_column("water", no_wrap=True)
     for heading in ("view (m)", "β (1/m)", "K_d (1/m)"):
         table.add_column(heading, justify="right", no_wrap=True)
-    waters = [load_water(name) for name in (*WATERS, *PLACES)]
+    with reported_errors():
+        waters = [load_water(name) for name in names]
     for water in waters:
         bands = water.at(WAVELENGTHS)
         means_of = [" ".join(f"{x:.3f}" for x in rate @ weights) for rate in (bands.beta, bands.kd)]
-        words = IN_WORDS.get(water.name, "see below")
+        words = IN_WORDS.get(water.name, "see below" if water.name in PLACES else "yours")
         table.add_row(f"{water.name}, {words}", f"{water.visibility():.1f}", *means_of)
     Console().print(table)
     print("\nPlaces, by their contents (mg/m³, 1/m, g/m³):")
@@ -108,3 +124,11 @@ def waters(
             # values taken from the table as a whole have a citation without wavelengths
             if " nm: " in note:
                 print(f"  {note}")
+    if plot is not None:
+        with reported_errors():
+            require("plot", "matplotlib")
+            from uwaug.figures.spectra import draw_spectra
+
+            count = len(own or ())
+            draw_spectra(waters[:count], waters[count:]).savefig(plot)
+        print_written(plot)

@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -18,8 +18,6 @@ from uwaug.formation.image import form_image
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.scattering import Scattering
 from uwaug.optics.water import Water
 from uwaug.presets.scene import Scene
 from uwaug.transforms.random_underwater import RandomUnderwater
@@ -64,13 +62,9 @@ def preset_case(name: str, preset: RandomUnderwater) -> Case:
 
 def in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
     """Make a module of waters, 5 m deep, with spectral surfaces and the calibrated width law."""
-    options: dict[str, Any] = {
-        "vertical_depth": _DEPTH_M,
-        "g": Scattering.CALIBRATED.g,
-        "point_spread": PointSpread.calibrated(),
-        "surfaces": "spectral",
-    }
-    media = Medium.stack(Medium.from_water(water, **options) for water in waters)
+    media = Medium.stack(
+        Medium.from_water(water, vertical_depth=_DEPTH_M, surfaces="spectral") for water in waters
+    )
     return Underwater(media, None, development=Development("auto", gamut=1.0), view=scene.view)
 
 

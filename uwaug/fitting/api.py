@@ -44,6 +44,7 @@ def fit(
     fixed: Mapping[str, float] | None = None,
     gain: Literal["fixed", "free"] = "free",
     color_space: ColorSpace = "srgb",
+    jpeg: int | None = None,
     pixels: int = 20_000,
     seed: int = 0,
     progress: bool | Progress = True,
@@ -66,6 +67,8 @@ def fit(
         gain: "free": each colour gets a factor for exposure, white balance and daylight lost above
             the scene, if left-out pixels are predicted better with it. "fixed": there is none.
         color_space: "srgb": values are decoded to linear light. "linear": they are taken as is.
+        jpeg: quality, 1…100, of the JPEG file that `observed` was; its loss then counts as error.
+            Numbers that rest on fine detail, β and the blur, are far off in such a picture.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
         seed: seed of the choice of pixels and of random starts.
         progress: True: print on stderr what a fit that takes longer than a second is doing; False:
@@ -88,7 +91,7 @@ def fit(
     checks.one_of("model", model, ("auto", *MODELS))
     checks.one_of("gain", gain, ("fixed", "free"))
     say = checked_options(pixels, seed, progress)
-    pictures = Pictures.of(clean, observed, distance, color_space)
+    pictures = Pictures.of(clean, observed, distance, color_space, jpeg)
     models = _models(model, pictures.geometry, fixed or {}, gain=gain == "free")
     # a medium that is made in inference mode could not be trained
     with one_thread(), torch.inference_mode(False), torch.no_grad():

@@ -79,7 +79,10 @@ def result_of(
 ) -> Fit:
     """The public result: numbers and errors of the winner, and the notes that all fits share."""
     objective, solution = winner.objective, winner.solution
-    covariance = covariance_of(objective, solution)
+    # the fit may take what the file has lost for a blur: with and without one
+    media = medium, replace(medium, scale=0 * medium.scale)
+    lost = [x for x in (pictures.lost(pictures.rendered(m)) for m in media) if x is not None]
+    covariance = covariance_of(objective, solution, lost)
     numbers, matrix = parameters(winner.model, solution, covariance)
     rest, best, rows = remainder(objective, solution.theta), best_of(candidates), []
     doubts = left_over(rest, covariance.design_effect, winner.rms)

@@ -3,6 +3,8 @@
 Any width law is a mixture of these blurs. They do not depend on the water, so they are made once.
 """
 
+import io
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,6 +13,7 @@ from typing import Any, get_args
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from PIL import Image
 from torch import Tensor
 
 from uwaug._support import checks
@@ -18,8 +21,10 @@ from uwaug._support.codec import plain
 from uwaug._support.types import Array, ColorSpace, Shape
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import blurred, mixed, node_weights
-from uwaug.formation.colour import decoded, require_values
+from uwaug.formation.colour import decoded, encoded, require_values
+from uwaug.formation.image import form_image
 from uwaug.optics.curves import FARTHEST
+from uwaug.optics.medium import Medium
 
 Places = NDArray[np.int64]
 
@@ -28,6 +33,7 @@ _MIN_PIXELS = 50  # usable pixels that a fit needs: three values of each for 12 
 _MIN_SPAN = 0.03  # spread of the distances as a share of their median; less is one distance
 _SAME_PICTURE = 2e-3  # mean difference, as a share of the light, below which two pictures are one
 _CLIPPED_LIGHT = 0.98  # linear light of the clean picture, 253 of 255: it may have been brighter
+_LEVEL_ROUNDING = 1e-3  # of a level of 8 bits, up to which a value is one
 _BLUR_TOLERANCE = 2e-4  # error of the blurs, below which no residual can fall
 # Widest blur, as a share of the picture's short side. The calibrated law reaches it in a 60° view
 # after ten scattering lengths, where no light is left.
@@ -58,13 +64,21 @@ class Pictures:
     usable: Tensor  # Bx1xHxW: True where the distance is known and no value was clipped
     color_space: ColorSpace  # of the input
     clips: bool  # True if light beyond black and white was lost, as in sRGB
+    has_bytes: bool  # True if the observed values are those of 8 bits
+    jpeg: int | None = None  # quality at which the observed were stored; None: without loss
 
     @staticmethod
     def of(
-        clean: Tensor | None, observed: Tensor, distance: Tensor, color_space: ColorSpace
+        clean: Tensor | None,
+        observed: Tensor,
+        distance: Tensor,
+        color_space: ColorSpace,
+        jpeg: int | None = None,
     ) -> "Pictures":
         """Check the input of a fit; arguments and errors are those of `uwaug.fit`."""
         checks.one_of("color_space", color_space, get_args(ColorSpace))
+        if jpeg is not None:
+            checks.within("jpeg", jpeg, 1, 100)
         tensors = {"observed": observed, "distance": distance}
         if clean is not None:
             tensors["clean"] = clean
@@ -95,7 +109,9 @@ class Pictures:
         count = max(len(wet), len(z), len(dry))
         z = torch.where(z >= checks.OPEN, FARTHEST, torch.where(z > 0, z, 1.0))
         wet, z, usable = (x.expand(count, -1, -1, -1) for x in (wet, z, usable))
-        pictures = Pictures(dry, wet, z, usable, color_space, clips)
+        levels = 255 * encoded(wet, color_space, torch.float64, 1.0)
+        has_bytes = bool((levels - levels.round()).abs().max() < _LEVEL_ROUNDING)
+        pictures = Pictures(dry, wet, z, usable, color_space, clips, has_bytes, jpeg)
         pictures._require_usable()
         return pictures
 
@@ -134,16 +150,34 @@ class Pictures:
             plan = plan_blur(0.0, widest, _BLUR_TOLERANCE, shape, side)
             blurs = [at_places(x).double() for x in blurred(self.clean.float(), plan)]
             stacks[shape] = Stack(plan, blurs)
-        observed = at_places(self.observed)
+        observed, area = at_places(self.observed), math.prod(self.geometry.size)
         return Pixels(
             clean=at_places(self.clean),
             observed=observed,
             z=at_places(self.z),
             weights=torch.ones_like(observed),
+            places=np.concatenate([i * area + at for i, at in enumerate(places)]),
             blocks=blocks_of(places, self.geometry.size),
             stacks=stacks,
             size=self.geometry.size,
         )
+
+    def rendered(self, medium: Medium) -> Tensor:
+        """The observed pictures (Bx3xHxW, linear light) as a water makes them of the clean."""
+        clean, z = self.clean.float(), self.z.float()
+        return form_image(clean.expand(len(z), -1, -1, -1), z, medium).image
+
+    def lost(self, light: Tensor) -> Tensor | None:
+        """What pictures (Bx3xHxW, linear light) lose when they are stored as the observed were: by
+        rounding to 8 bits, or by JPEG; None if that is nothing.
+        """
+        if not self.has_bytes:
+            return None
+        light = light.clamp(0, 1)
+        values = encoded(light, self.color_space, torch.uint8, 1.0)
+        if self.jpeg is not None:
+            values = torch.stack([_through_jpeg(value, self.jpeg) for value in values])
+        return decoded(values, self.color_space) - light
 
     def _require_usable(self) -> None:
         usable = int(self.finite.sum())
@@ -186,6 +220,7 @@ class Pixels:
     observed: Tensor
     z: Tensor  # 1x1x1xN: m
     weights: Tensor  # 1x3x1xN: one over the standard deviation of the noise; 0 leaves out
+    places: Places  # (N) where a pixel is, row by row of each picture
     blocks: Places  # (N) number of the block of the picture that a pixel is from, from 0
     stacks: dict[Shape, Stack]  # blurs for each shape that was asked for
     size: tuple[int, int]  # height and width of the pictures, px
@@ -201,7 +236,7 @@ class Pixels:
         if count >= n:
             return self
         places = np.random.default_rng(seed).choice(n, count, replace=False)
-        names = ("clean", "observed", "z", "weights", "blocks")
+        names = ("clean", "observed", "z", "weights", "places", "blocks")
         values: dict[str, Any] = {name: getattr(self, name)[..., places] for name in names}
         stacks = {
             shape: Stack(stack.plan, [blur[..., places] for blur in stack.blurs])
@@ -219,6 +254,13 @@ def blocks_of(places: Sequence[Places], size: tuple[int, int]) -> Places:
         for i, at in enumerate(places)
     ]
     return np.unique(np.concatenate(numbers), return_inverse=True)[1]
+
+
+def _through_jpeg(values: Tensor, quality: int) -> Tensor:
+    """A picture (3xHxW, uint8) from a JPEG file of that quality."""
+    file = io.BytesIO()
+    Image.fromarray(values.permute(1, 2, 0).numpy()).save(file, "JPEG", quality=quality)
+    return torch.from_numpy(np.array(Image.open(file))).permute(2, 0, 1)
 
 
 def _light(picture: Tensor, color_space: ColorSpace, name: str) -> Tensor:

@@ -3,9 +3,11 @@ residuals by distance. `parameter` alone decides if a number is reported or "not
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from torch import Tensor
 
 from uwaug._support.types import Array
 from uwaug.fitting.data import Places
@@ -88,14 +90,22 @@ def sandwich(
     return Covariance(matrix, length, hidden, float(design_effect))
 
 
-def covariance_of(objective: Objective[M], solution: Solution) -> Covariance:
-    """Covariance of all numbers of a fit, over blocks of its pictures."""
+def covariance_of(
+    objective: Objective[M], solution: Solution, lost: Sequence[Tensor] = ()
+) -> Covariance:
+    """Covariance of all numbers of a fit, over blocks of its pictures; `lost` (Bx3xHxW, linear
+    light) are errors of their files, which follow the scene, so that no block tells them.
+    """
     residual = objective.residual(solution.theta)
     jacobian, pixels = objective.jacobian(solution.theta), objective.pixels
     weights = pixels.weights[0, :, 0].numpy()
-    offsets = objective.model.offset * np.eye(3)[:, None] * weights[..., None]
-    blocks = pixels.blocks_of_values
-    return sandwich(jacobian, *influence(residual), blocks, offsets.reshape(-1, 3))
+    errors = [np.full_like(weights, objective.model.offset)]
+    for light in lost:
+        errors.append(light.transpose(0, 1).flatten(1)[:, pixels.places].double().numpy())
+    # each error of each colour by itself
+    columns = [(error * weights)[..., None] * np.eye(3)[:, None] for error in errors]
+    offsets = np.concatenate(columns, 2).reshape(3 * weights.shape[1], -1)
+    return sandwich(jacobian, *influence(residual), pixels.blocks_of_values, offsets)
 
 
 def parameters(

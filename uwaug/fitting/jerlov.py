@@ -137,6 +137,7 @@ def fit_water(
     point_spread: PointSpread | None = None,
     view: View | float = WIDE,
     color_space: ColorSpace = "srgb",
+    jpeg: int | None = None,
     pixels: int = 5000,
     seed: int = 0,
     progress: bool | Progress = True,
@@ -147,7 +148,7 @@ def fit_water(
     named if what it leaves is noise. Defaults are those of `uwaug.RandomUnderwater`.
 
     Args:
-        clean, observed, distance, color_space, seed, progress: as of `uwaug.fit`.
+        clean, observed, distance, color_space, jpeg, seed, progress: as of `uwaug.fit`.
         camera, g: as of `Medium.from_water`; a wrong one gives a wrong water.
         surfaces: "spectral" or "grey", as of `Medium.from_water`; "auto": what explains the
             picture better.
@@ -169,10 +170,9 @@ def fit_water(
     Examples:
         >>> import torch, uwaug
         >>> clean, z = torch.rand(3, 60, 80), torch.linspace(1, 6, 4800).reshape(1, 60, 80)
-        >>> water = uwaug.Medium.from_water("5C", g=0.05, surfaces="spectral")
+        >>> water = uwaug.Medium.from_water("5C", surfaces="spectral")
         >>> observed = uwaug.Underwater(water)(clean, z)
-        >>> options = {"point_spread": uwaug.PointSpread.paper(), "pixels": 500, "progress": False}
-        >>> uwaug.fitting.fit_water(clean, observed, z, **options).model
+        >>> uwaug.fitting.fit_water(clean, observed, z, pixels=500, progress=False).model
         '5C'
     """
     say = checked_options(pixels, seed, progress)
@@ -181,7 +181,7 @@ def fit_water(
     checks.one_of("surfaces", surfaces, (*get_args(Surfaces), "auto"))
     if vertical_depth is not None:
         checks.within("vertical_depth", vertical_depth, *checks.DOMAIN["vertical_depth"])
-    pictures = Pictures.of(clean, observed, distance, color_space)
+    pictures = Pictures.of(clean, observed, distance, color_space, jpeg)
     geometry = pictures.geometry
     law = PointSpread.calibrated() if point_spread is None else point_spread
     view = View.of(view)

@@ -14,7 +14,6 @@ from uwaug._support import checks, codec
 from uwaug._support.atomic import require_regular, written_whole
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import Geometry, Pictures
-from uwaug.formation.image import form_image
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.medium import Medium
 from uwaug.optics.water import Water
@@ -122,8 +121,7 @@ class Fit:
         """The observed pictures (Bx3xHxW, linear light) as the water makes them of the clean."""
         if self.pictures is None or not self.pictures.clean.any():
             raise ValueError("the fit has no clean pictures: fit them again to see these")
-        clean, z = self.pictures.clean.float(), self.pictures.z.float()
-        return form_image(clean.expand(len(z), -1, -1, -1), z, self.medium).image
+        return self.pictures.rendered(self.medium)
 
     def summary(self) -> str:
         """The result as text: notes, parameters, candidates, residuals by distance."""

@@ -209,6 +209,7 @@ def _darkest(pictures: Pictures, rng: np.random.Generator) -> tuple[Pixels, floa
         observed=observed,
         z=torch.from_numpy(z[sample])[None, None, None],
         weights=torch.from_numpy(weight)[None, :, None].expand_as(observed),
+        places=sample,
         blocks=blocks[sample],
         stacks={},
         size=pictures.geometry.size,

@@ -68,7 +68,7 @@ def contrast_left(
         >>> from uwaug import Medium, Water
         >>> medium = Medium.from_water(Water.jerlov("3C"))
         >>> contrast_left(torch.tensor([[[0.0, 1.0, 3.0, torch.inf]]]), medium).round(decimals=2)
-        tensor([[[1.0000, 0.1300, 0.0100, 0.0000]]])
+        tensor([[[1.0000, 0.2300, 0.0200, 0.0000]]])
     """
     checks.instance("medium", medium, Medium, "; see Medium.from_water")
     maps = {"distance": distance} if metres is None else {"distance": distance, "metres": metres}

@@ -150,7 +150,7 @@ class Medium:
         camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)",
         *,
         vertical_depth: float = 1.0,
-        g: float = Scattering.PAPER.g,
+        g: float = Scattering.CALIBRATED.g,
         mu: float | None = None,
         point_spread: PointSpread | None = None,
         surfaces: Surfaces = "grey",
@@ -165,10 +165,10 @@ class Medium:
             camera: a name, the path of a CSV file (see `uwaug.load_camera`), or a `Camera`.
             vertical_depth: d, depth of the scene below the surface, m, ≥ 0.
             g: share of the scattered light that leaves the line of sight, 0…1; not the asymmetry of
-                a phase function. .2 (the paper) for a subject in part of the view, .05 for one that
-                fills it.
+                a phase function, see `uwaug.Scattering`.
             mu: share of the scattered light that is sent towards the camera, 0…1; None for 1.5·g.
-            point_spread: width law, by default `PointSpread.paper()`.
+            point_spread: width law, by default `PointSpread.calibrated()`; the paper's presets say
+                `PointSpread.paper()` and g = .2.
             surfaces: "grey", where a channel of the picture depends on that channel of the scene
                 alone, as in the paper; or "spectral", see `uwaug.optics.surfaces`.
             color_matrix: share of the camera's colour matrix that is applied to surfaces with
@@ -188,7 +188,7 @@ class Medium:
         if tolerance != 0:
             checks.tolerance(tolerance)
         checks.one_of("surfaces", surfaces, get_args(Surfaces))
-        law = PointSpread.paper() if point_spread is None else point_spread
+        law = PointSpread.calibrated() if point_spread is None else point_spread
         options = (vertical_depth, g, mu, law, surfaces == "spectral", color_matrix, tolerance)
         return Medium.of_spectra(water, load_camera(camera), *options, lamps=True)
 

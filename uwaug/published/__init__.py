@@ -23,9 +23,10 @@ from uwaug.published.equation import FUNCTIONS
 from uwaug.published.equation import picture as picture
 from uwaug.published.equation import system as system
 from uwaug.published.equation import systems as systems
+from uwaug.published.equation import takes_spectra as takes_spectra
 
 if TYPE_CHECKING:  # signatures of the names that the next line brings
     from uwaug.published.models import *  # noqa: F403
 
 globals().update(FUNCTIONS)
-__all__ = sorted(["augment", "picture", "system", "systems", *FUNCTIONS])  # noqa: PLE0605
+__all__ = sorted(["augment", "picture", "system", "systems", "takes_spectra", *FUNCTIONS])  # noqa: PLE0605

@@ -98,9 +98,15 @@ def system(name: str) -> Callable[..., Tensor]:
     return FUNCTIONS[name.replace("-", "_")]
 
 
+def takes_spectra(name: str) -> bool:
+    """False of a system that knows the ten Jerlov types alone, by a table of three colours."""
+    parameters = inspect.signature(system(name)).parameters
+    return "camera" in parameters or "water" not in parameters
+
+
 def picture(name: str, image: Tensor, z: Tensor, water: AnyWater = "II") -> Tensor:
-    """Picture that a published system makes in a water. "li-2020" and "slurpp-2025" know the ten
-    Jerlov types alone, and "hou-2020" has one water, whatever is given.
+    """Picture that a published system makes in a water. "hou-2020" has one water, whatever is
+    given; see also `takes_spectra`.
     """
     function = system(name)
     takes_water = "water" in inspect.signature(function).parameters
