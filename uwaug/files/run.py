@@ -181,12 +181,8 @@ def run(
         # without results, those of before keep their lists
         lists, notes = labels.lists(made) if labels is not None and made else ({}, [])
         lists = {"index.csv": Summary(results).index(), **lists}
-        variants: dict[Path, list[Path]] = {}
-        for result in made:
-            variants.setdefault(result.item.picture, []).append(out / result.place)
-        if sheet and variants:
-            groups = [*variants.items()]
-            lists["sheet.jpg"] = drawn_sheet(groups, work.read, work.caption, beside)
+        if sheet and made:
+            lists["sheet.jpg"] = drawn_sheet(made, work, labels, beside)
         notes = [*notes, *folder.write_lists(lists)]
     return Summary(results, notes)
 
