@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from typing import Any
@@ -133,13 +133,19 @@ def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
         from torchvision.transforms.v2.functional import convert_bounding_box_format
 
         boxes = convert_bounding_box_format(boxes, new_format="XYXY")
-    corners, means = torch.as_tensor(boxes).reshape(-1, 4), []
+    corners = torch.as_tensor(boxes).reshape(-1, 4)
     if bool((corners[:, 2:] < corners[:, :2]).any()):
         cure = "for (x, y, width, height) give torchvision's BoundingBoxes"
         raise ValueError(f"target['boxes'] end before they begin: expected corners in px; {cure}")
     if len(corners) and 0 < float(corners.max()) <= 1 < max(contrast_map.shape):
         raise ValueError("target['boxes'] lie in 0…1: expected px, so multiply by width and height")
-    for x1, y1, x2, y2 in corners.tolist():
+    return means_over(corners.tolist(), contrast_map)
+
+
+def means_over(boxes: Iterable[Sequence[float]], contrast_map: Tensor) -> Tensor:
+    """Mean of a map (HxW) over each box (x1, y1, x2, y2, px); 0 for one without pixels."""
+    means = []
+    for x1, y1, x2, y2 in boxes:
         # all pixels that the box touches
         rows = slice(max(0, math.floor(y1)), max(0, math.ceil(y2)))
         columns = slice(max(0, math.floor(x1)), max(0, math.ceil(x2)))
