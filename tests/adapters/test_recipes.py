@@ -123,7 +123,7 @@ def test_the_line_for_ultralytics() -> None:
     boxes = A.BboxParams("yolo", label_fields=["class_labels"])
     pipeline = A.Compose([A.from_dict(t) for t in written], bbox_params=boxes)
     pipeline.set_random_seed(0)
-    data = {"bboxes": [[0.5, 0.5, 0.9, 0.9]], "class_labels": [[1.0]]}
+    data = {"bboxes": np.array([[0.5, 0.5, 0.9, 0.9]]), "class_labels": np.array([[1.0]])}
     wet = [not np.array_equal(pipeline(image=PICTURE, **data)["image"], PICTURE) for _ in range(8)]
     assert 0 < sum(wet) < 8
     assert pipeline.transforms[-1].min_contrast == 0.05
