@@ -23,12 +23,8 @@ from PIL import Image
 
 from uwaug import Lamp, Light, Medium, RandomDevelopment, RandomUnderwater, RandomWater, Sensor
 from uwaug.files import Item, Recipe, degrade, find_items, read_picture, read_record, replay
-from uwaug.files.formats import open_labels
-from uwaug.files.labels import Judged
 from uwaug.files.pool import on_processes
 from uwaug.files.record import write_record
-from uwaug.files.sheet import _draw_boxes
-from uwaug.files.summary import Result
 from uwaug.files.underwater import _Underwater
 from uwaug.optics.view import WIDE
 from uwaug.transforms.samples import key_of
@@ -363,20 +359,6 @@ def test_a_sheet_shows_kept_and_dropped_boxes(kind: str) -> None:
     )
     with Image.open("bare/sheet.jpg") as bare:
         assert bare.height == drawn.shape[0] - 21
-
-
-def test_boxes_stay_thin_lines_where_pictures_are_large_and_have_many_levels() -> None:
-    picture = torch.zeros(3, 1800, 2400)
-    Path("labels").mkdir()
-    Path("labels/a.txt").write_text("0 .5 .5 .5 .5\n0 -.4 .5 .1 .1\n")
-    labels = open_labels("labels", [Item("a.png", Path("all/a.png"))])
-    objects = [Judged(1, 0.5, True), Judged(2, 0.0, False)]
-    _draw_boxes(
-        picture, labels, Result(Item("a.png", Path("a")), 0, "a.png", "written", objects=objects)
-    )
-    assert picture.max() == 1
-    assert picture[:, 900].T.unique(dim=0).tolist() == [[0, 0, 0], [1, 1, 0]]
-    assert int((picture[0, 900] > 0).sum()) == 2 * 10
 
 
 # Once more

@@ -111,21 +111,16 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
                     rays = recipe.transform.view.planar(image.shape[-1])
                     placed = source.placed(draw["distance"], lambda left: 1 / left)  # anywhere
                     source.metres(z, image, placed, **rays)
-                    if isinstance(source, Metres) and source.holes == "error":
-                        _require_range(z)
+                    # a number that a depth camera may write where it has seen nothing
+                    mask = of_metres(z) & (z < NO_RANGE)
+                    if isinstance(source, Metres) and source.holes == "error" and mask.any():
+                        raise ValueError(in_words(z, mask))
             except Exception as error:
                 reason = reason_of(error)
                 if not reason.startswith(str(item.distance)):
                     reason = f"{item.distance}: {reason}"
             samples.append(_Sample(item, image, z, reason))
     return samples
-
-
-def _require_range(z: Tensor) -> None:
-    """Refuse a number that a depth camera may write where it has seen nothing."""
-    mask = of_metres(z) & (z < NO_RANGE)
-    if bool(mask.any()):
-        raise ValueError(in_words(z, mask))
 
 
 def _doubts(recipe: Recipe, samples: Sequence[_Sample]) -> list[str]:

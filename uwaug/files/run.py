@@ -183,8 +183,7 @@ def run(
         lists = {"index.csv": Summary(results).index(), **lists}
         if sheet and made:
             lists["sheet.jpg"] = drawn_sheet(made, work, labels, beside)
-        notes = [*notes, *folder.write_lists(lists)]
-    return Summary(results, notes)
+        return Summary(results, [*notes, *folder.write_lists(lists)])
 
 
 def require_apart(

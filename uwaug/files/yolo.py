@@ -206,12 +206,11 @@ class Yolo(Folder):
 
 def _dry_val(root: Path, description: Entry) -> list[str]:
     """Absolute paths of all that a description names as val; none if any of it is not there."""
-    stated, paths = description.get("val") or [], []
-    folders = root / str(description.get("path") or ""), root
-    for place in map(str, [stated] if isinstance(stated, str) else stated):
-        # Roboflow's ../valid lies beside data.yaml
-        tried = (f / end for f in folders for end in (place, place.removeprefix("../")))
-        paths.append(next((os.path.abspath(path) for path in tried if path.exists()), ""))
+    stated, folders = description.get("val") or [], (root / str(description.get("path", "")), root)
+    places = map(str, [stated] if isinstance(stated, str) else stated)
+    # Roboflow's ../valid lies beside data.yaml
+    tried = [[f / end for f in folders for end in (p, p.removeprefix("../"))] for p in places]
+    paths = [next((os.path.abspath(p) for p in each if p.exists()), "") for each in tried]
     return paths if all(paths) else []
 
 
