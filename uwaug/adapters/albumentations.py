@@ -161,10 +161,6 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         values = np.squeeze(targets[key]) * self.scale
         return torch.from_numpy(values.astype(np.float32)).unsqueeze(-3)
 
-    def apply(self, img: NDArray[Any], record: Record, **params: Any) -> NDArray[Any]:
-        """Degrade a picture for which no map is needed."""
-        return self._degraded(img, record, None)[0]
-
     def _degraded(
         self, img: NDArray[Any], record: Record, distance: Tensor | None
     ) -> tuple[NDArray[Any], Scenes]:

@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 _RUN_OPTIONS = ("drift", "motion", "quality", "background")  # of --set, but not of the transform
 _GROUPS = {
-    "Output": "out variants sheet maps",
-    "Distance": "distance unit holes view focal_px",
-    "Water": "water contrast severity like preset plain set_ options",
-    "Run": "seed workers resume force ray help",
-    "Films": "sequence rig",
-    "Labels": "labels min_contrast",
+    "Output": ("out", "variants", "sheet", "maps"),
+    "Distance": ("distance", "unit", "holes", "view", "focal_px"),
+    "Water": ("water", "contrast", "severity", "like", "preset", "plain", "set_", "options"),
+    "Run": ("seed", "workers", "resume", "force", "ray", "help"),
+    "Films": ("sequence", "rig"),
+    "Labels": ("labels", "min_contrast"),
 }
 
 
@@ -49,10 +49,10 @@ class Grouped(TyperCommand):
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Flags, each with the heading of its group."""
-        headings = {name: group for group, names in _GROUPS.items() for name in names.split()}
         params = super().get_params(ctx)
         for param in params:
-            vars(param)["rich_help_panel"] = headings.get(str(param.name))
+            headings = [group for group, names in _GROUPS.items() if param.name in names]
+            vars(param)["rich_help_panel"] = headings[0] if headings else None
         return params
 
 
