@@ -71,7 +71,7 @@ FALSE = {
     "aspect": (lambda z: z[..., :240], "of another aspect"),
     "turned": (lambda z: z.mT, "turned or cropped"),
     "size": (lambda z: z[..., ::2, ::2], "brought to the picture's size"),
-    "scattered infinity": (sparse, "60 % of the distances are unknown"),
+    "scattered infinity": (sparse, "60 % of the distances are +inf, scattered"),
 }
 
 

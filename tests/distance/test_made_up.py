@@ -115,11 +115,19 @@ def test_without_numba_it_is_the_same(size, white, monkeypatch) -> None:
         torch.testing.assert_close(z, made(image, scene), rtol=1e-4, atol=0)
 
 
-def test_the_sky_lies_at_the_far_end_in_three_of_four() -> None:
+def test_the_sky_is_open_water_in_three_of_four() -> None:
     z = torch.stack([made(landscape(), scene)[0] for scene in SCENES])
-    at_far_end = (z[:, :80] > 0.999 * z.amax((1, 2), keepdim=True)).float().mean((1, 2))
-    assert 12 <= int((at_far_end > 0.8).sum()) <= 23
-    assert float((z[:, 150:] > 0.9 * z.amax()).float().mean()) < 0.1
+    share = z.isinf()[:, :80].float().mean((1, 2))
+    assert 12 <= int((share > 0.8).sum()) <= 23
+    assert bool(((share > 0.8) | (share == 0)).all())
+    assert bool(z[:, 150:].isfinite().all())
+
+
+def test_open_water_begins_behind_the_far_end() -> None:
+    for scene in SCENES:
+        z = made(landscape(), scene, near=1.0, far=8.0)[0]
+        rim = z[:-1][z[:-1].isfinite() & z[1:].isinf()]
+        assert bool((rim > 7.99).all())
 
 
 def test_what_is_plain_has_no_steps() -> None:

@@ -9,7 +9,7 @@ from augmenting import picture
 from torch import Tensor
 
 from uwaug import RandomUnderwater, RandomWater
-from uwaug.distance import Inverse, Metres, Relative, Source
+from uwaug.distance import Inverse, Metres, Relative, Source, doubts
 from uwaug.distance.unknown import of_metres, of_shares, range_end
 
 H, W = 24, 33
@@ -83,6 +83,27 @@ def test_facades_and_horizons_are_no_stand_ins(value: float, source: Metres) -> 
         # 20 times the median are open water, as where a renderer ends
         open_water = (kept == torch.inf) & (z == value) & (value > 200)
         assert bool(((kept == z) | open_water).all())
+
+
+@pytest.mark.parametrize("rows, is_told", [(slice(None, None, 4), True), (slice(9), False)])
+def test_infinity_among_near_pixels_is_unknown(rows: slice, is_told: bool) -> None:
+    """Every fourth row, as of a lidar; or a sky."""
+    lidar, holed = floor(), floor()
+    lidar[:, rows], holed[:, rows] = math.inf, math.nan
+    said = " ".join(doubts(lidar, picture()))
+    assert ("+inf, scattered among near ones" in said) == is_told
+    for source in (Metres("behind"), Metres(3.0)):
+        expected = source.metres(holed if is_told else lidar, picture(), {})
+        assert torch.equal(source.metres(lidar, picture(), {}), expected)
+    for source in (Metres(), Metres("far")):
+        assert torch.equal(source.metres(lidar, picture(), {}), lidar)
+
+
+def test_bits_that_are_turned_are_told() -> None:
+    """SUN RGB-D's numbers are read as mm."""
+    z = (1000 * floor()).round() * 8 / 1000
+    assert any("multiples of 8 mm" in said for said in doubts(z, picture()))
+    assert not any("multiples" in said for said in doubts((100 * z).round() / 100, picture()))
 
 
 def test_millimetres_are_told_from_a_sky() -> None:

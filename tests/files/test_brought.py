@@ -274,7 +274,7 @@ def test_channels_that_are_equal_are_one(channels: int) -> None:
     assert torch.equal(read_distance(save("z.png", values), None), expected)
     if channels > 2:
         values[3, 4, 1] ^= 1
-        with pytest.raises(ValueError, match=r"z\.png: expected one channel .* make it grey"):
+        with pytest.raises(ValueError, match=r"z\.png: expected one channel .* packed in them"):
             read_distance(save("z.png", values), None)
 
 

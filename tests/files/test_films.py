@@ -16,9 +16,9 @@ from uwaug.files.items import Item
 NS = "14036365797635{}.png"
 
 
-def films(names: str, rig: str = "auto") -> list[dict[str, int]]:
+def films(names: str, rig: str = "auto") -> list[dict[str, float]]:
     """The moment of each frame of each film."""
-    films: dict[Any, dict[str, int]] = {}
+    films: dict[Any, dict[str, float]] = {}
     for item, frame in frames_of([Item(n, Path(n)) for n in names.split()], rig).items():
         films.setdefault(frame.candidates, {})[item.name] = frame.moment
     return list(films.values())
@@ -118,3 +118,22 @@ def test_a_rig_is_metered_on_one_camera(tmp_path: Path, monkeypatch: pytest.Monk
     clip = recipe.transform.for_clip(draw, read_picture("rig/cam0/2.png"), z)
     measured = json.loads(json.dumps(clip["samples"][0]["measured"]))
     assert all(sample["measured"] == measured for sample in samples.values())
+
+
+@pytest.mark.parametrize(
+    "names, moments",
+    [
+        ("{}0.png", [0, 1, 2, 40]),  # every tenth frame
+        ("dive_2_{}.png", [0, 1, 2, 40]),
+        ("l/{}.png", [0, 1, 2, 40]),
+        ("17000000{}.000.png", [0, 1, 2, 40]),  # seconds
+        ("{0}-of-{0}.png", [0, 1, 2, 3]),  # two numbers
+    ],
+)
+def test_frames_that_are_not_there_took_their_time(names: str, moments: list[int]) -> None:
+    there = [names.format(number) for number in (11, 12, 13, 51)]
+    assert films(" ".join(there)) == [dict(zip(there, moments, strict=True))]
+
+
+def test_frames_without_numbers_follow_in_order() -> None:
+    assert films("a.png b.png d.png") == [{"a.png": 0, "b.png": 1, "d.png": 2}]

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from uwaug.files import find_items
-from uwaug.files.items import delay_of
+from uwaug.files.items import delay_of, left_out
 
 
 @pytest.fixture(autouse=True)
@@ -199,3 +199,12 @@ def test_what_cannot_be_read_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr(Path, "iterdir", iterdir)
     assert names("ds") == {"0.png": ""}
+
+
+@pytest.mark.parametrize(
+    "ends", [".hdr .mpo .insp", ".GPR .srw .3fr", ".mts .m2ts .wmv .insv .vob"]
+)
+def test_all_that_cameras_write_is_named(ends: str) -> None:
+    touch(" ".join(["ds/0.png", *(f"ds/1{end}" for end in ends.split())]))
+    told = left_out(Path("ds"))
+    assert all(f"1 {end.lower()}: " in told for end in ends.split())

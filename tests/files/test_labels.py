@@ -911,3 +911,77 @@ def test_masks_in_colour(tmp_path: Path) -> None:
     with Image.open(tmp_path / "out/labels/1.png") as written:
         assert np.array_equal(written, mask)
     assert (tmp_path / "out/labelmap.txt").read_text() == "fish:128,0,0::\n"
+
+
+# Text
+
+
+@pytest.mark.parametrize("code, words", [("cp1252", "Müll\nHöhle\n"), ("cp950", "海參\n")])
+def test_text_in_another_code_page_is_named(tmp_path: Path, code: str, words: str) -> None:
+    write(tmp_path / "labels/1.txt", ALL)
+    for name in ("classes.txt", "data.yaml"):
+        file = write(tmp_path / "labels" / name, "")
+        file.write_bytes(b"names: " * (name != "classes.txt") + words.encode(code))
+        with pytest.raises(ValueError, match=rf"{name}: is no"):
+            opened(tmp_path / "labels", "1.png")
+        file.unlink()
+
+
+OTHERS = {
+    "lvis.json": '{"images": [{"id": 1, "coco_url": "http://a/train/1.jpg"}], "annotations": []}',
+    "vis.json": '{"videos": [{"id": 1, "file_names": ["1.jpg"]}], "annotations": []}',
+    "sa/1.json": '{"image": {"file_name": "1.jpg"}, "annotations": []}',
+    "all.jsonl": '{"image": "1.jpg", "boxes": []}\n{"image": "2.jpg", "boxes": []}\n',
+    "MOT17/gt.txt": "1,1,4,5,20,30,1,1,1\n",
+    "dota/1.txt": "imagesource:GoogleEarth\ngsd:0.1\n1 1 9 1 9 9 1 9 ship 0\n",
+    "kitti/1.txt": "Car 0.00 0 -1.58 58 17 61 20 1.6 1.6 3.6 -6 1.7 46 -1.5\n",
+    "visdrone/1.txt": "684,8,273,116,0,0,0,0\n",
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_formats_are_named_with_a_cure(tmp_path: Path, name: str) -> None:
+    write(tmp_path / name, OTHERS[name])
+    with pytest.raises(ValueError, match=r"/gt\.txt is MOT's" if "MOT" in name else name):
+        opened(tmp_path / name.partition("/")[0], "1.jpg")
+    is_text = name.endswith("/1.txt")
+    others = (
+        "expected class cx cy w h; DOTA, KITTI" if is_text else "LVIS .*YouTube-VIS, SA-1B, .*MOT"
+    )
+    with pytest.raises(ValueError, match=rf"{name}: .*{others}"):
+        opened(tmp_path / (name.partition("/")[0] if "/1." in name else name), "1.jpg")
+
+
+@pytest.mark.parametrize(
+    "file, pattern",
+    [
+        ("1.bmp", ""),
+        ("1_segmentation.gif", ""),
+        ("1_mask.TIF", ""),
+        ("1-labels.png", "{stem}-labels.png"),
+        ("sub/1_gt.bmp", "{stem}_gt.bmp"),
+    ],
+)
+def test_masks_by_other_names(tmp_path: Path, file: str, pattern: str) -> None:
+    values = np.zeros(SIZE, np.uint8)
+    values[:, 0], values[:, -1] = 1, 2
+    (tmp_path / "masks/sub").mkdir(parents=True)
+    Image.fromarray(values).save(tmp_path / "masks" / file)
+    name = "sub/1.jpg" if "sub" in file else "1.jpg"
+    (objects,) = labelled(tmp_path / "masks" / pattern, [name], tmp_path / "out")
+    assert [one.key for one in objects] == [1, 2]
+    with Image.open(tmp_path / "out/labels" / name.replace("jpg", "png")) as written:
+        assert np.array_equal(written, np.where(values == 2, 0, values))
+    with pytest.raises(ValueError, match=r"no file such as .*found 1 files ending in \."):
+        opened(tmp_path / "masks", "2.jpg")
+
+
+@pytest.mark.parametrize("stated", ["a%20b.jpg", "/data/local-files/?d=reef%2Fa%20b.jpg"])
+def test_names_in_percent_signs_are_those_of_pictures(tmp_path: Path, stated: str) -> None:
+    image = {"id": 1, "file_name": stated}
+    write(tmp_path / "l.json", json.dumps({"images": [image], "annotations": []}))
+    assert list(opened(tmp_path / "l.json", "reef/a b.jpg").of) == ["reef/a b.jpg"]
+    write(tmp_path / "voc/Annotations/a b.xml", VOC)
+    write(tmp_path / "voc/ImageSets/Main/val.txt", "a%20b\n")
+    labelled(tmp_path / "voc", ["a b.jpg"], tmp_path / "out")
+    assert (tmp_path / "out/ImageSets/Main/val.txt").read_text() == "a b\n"

@@ -250,7 +250,7 @@ def test_pictures_that_are_refused(tmp_path: Path, name: str, data: bytes, messa
 @pytest.mark.parametrize(
     "values, unit, message",
     [
-        (pixels(), "m", "expected one channel .* make it grey"),
+        (pixels(), "m", "expected one channel .* packed"),
         (pixels()[..., 0], "mm", "8 bits are too few for distances in mm"),
         (1000 * metres(), "m", "farther than one sees: is the unit mm"),
         (metres(), "inch", "unit must be one of m, cm, mm"),
@@ -278,3 +278,34 @@ def test_no_file_is_none(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="ends in"):
         write_picture(tmp_path / "a.bmp", picture("uint8"))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_fourth_band_that_is_no_alpha_is_not_taken_for_one(tmp_path: Path) -> None:
+    for values in (pixels(channels=4), words(4), pixels(channels=2)):
+        path = save(tmp_path / "a.tif", values, photometric="minisblack", planarconfig="contig")
+        with pytest.raises(ValueError, match="last band is no alpha: save") as refused:
+            read_picture(path, background="white")
+        assert str(path) in str(refused.value)
+
+
+def test_a_transparent_colour_is_named(tmp_path: Path) -> None:
+    Image.fromarray(pixels()[..., 0]).save(tmp_path / "a.png", transparency=7)
+    with pytest.raises(ValueError, match=r"a\.png: .*transparent colour: save it without"):
+        read_picture(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("text, number", [("-9999", -9999.0), ("0 ", 0), ("1.5", 1.5)])
+def test_gdals_nodata_is_unknown(tmp_path: Path, text: str, number: float) -> None:
+    values = metres()
+    values[2:5, 3] = number
+    path = save(tmp_path / "z.tif", values, extratags=[(42113, "s", 0, text, True)])
+    expected = torch.from_numpy(np.where(values == number, np.nan, values))[None]
+    for unit in ("m", None):
+        assert torch.equal(read_distance(path, unit).nan_to_num(-1), expected.nan_to_num(-1))
+
+
+def test_packed_distances_are_named(tmp_path: Path) -> None:
+    packed = (1000 * metres()).astype("<u4").view(np.uint8).reshape(*metres().shape, 4)
+    for channels in (3, 4):
+        with pytest.raises(ValueError, match="packed in them"):
+            read_distance(save(tmp_path / "z.png", packed[..., :channels]), "mm")

@@ -206,3 +206,46 @@ def test_a_render_with_its_depth(run: Run, torchvision: Any) -> None:
     assert f"{there} of {there} labels kept" in out
     assert counted(torchvision, "coco_data", labels) == there
     assert counted(torchvision, "wet", "wet/coco_annotations.json") == there
+
+
+# A COCO file for each split, below one folder
+
+
+@pytest.mark.parametrize(
+    "picture, labels, stated",
+    [
+        ("{}/{}.jpg", "{}/_annotations.coco.json", "{1}.jpg"),  # RF-DETR
+        ("images/{}/{}.jpg", "annotations/instances_{}.json", "{1}.jpg"),  # DUO
+        ("images/{}/{} b.jpg", "annotations/{}.json", "{0}/{1}%20b.jpg"),
+    ],
+)
+def test_coco_files_below_a_folder(run: Run, picture: str, labels: str, stated: str) -> None:
+    there = 0
+    for split, count in {"train": 3, "valid": 2}.items():
+        for number in range(count):
+            save(f"ds/{picture.format(split, number)}", pixels(H, W, seed=number))
+        names = [stated.format(split, number) for number in range(count)]
+        there += coco(f"ds/{labels.format(split)}", names)
+    said = degraded(run, "ds", "ds", "wet", "--variants", "2")
+    assert f"{2 * there} of {2 * there} labels kept" in said
+    assert "a folder of COCO files, belong to 5 of 5 pictures" in said
+    for split, count in {"train": 3, "valid": 2}.items():
+        content = json.loads(Path(f"wet/{labels.format(split)}").read_text())
+        assert len(content["annotations"]) == 4 * count
+        place = picture.format(split, "").rpartition("/")[0]
+        above = place if stated == "{1}.jpg" else place.rpartition("/")[0]
+        assert all(Path(f"wet/{above}/{i['file_name']}").is_file() for i in content["images"])
+        assert len({image["file_name"] for image in content["images"]}) == 2 * count
+    # what a run wrote beside them is of no split of theirs
+    assert "belong to 5 of 5" in degraded(run, "ds", "ds", "ds/again")
+    assert "belong to 5 of 5" in degraded(run, "ds", "ds", "third")
+
+
+def test_two_files_that_label_one_picture_are_refused(run: Run) -> None:
+    save("ds/0.png", pixels(H, W))
+    for name in ("instances", "keypoints"):
+        coco(f"ds/annotations/{name}.json", ["0.png"])
+    flags = ("--labels", "ds/annotations", "--out", "wet", "--distance", "2")
+    code, _, err = run("degrade", "ds", *flags)
+    assert code != 0
+    assert "keypoints.json is one of two that label 0.png: give one" in " ".join(err.split())

@@ -11,6 +11,7 @@ import torch
 from packaging.version import Version
 from referees import reference
 from scenes import MEDIA, coastal, coefficients, distances, picture, rand
+from torch import Tensor
 
 import uwaug
 from uwaug import Medium, PointSpread, Underwater, form_image
@@ -261,3 +262,19 @@ def test_an_empty_picture() -> None:
         for shape in ((0, 8, 8), (2, 0, 8)):
             empty = torch.zeros(shape[0], 3, *shape[1:])
             assert degrade(empty, torch.zeros(shape[0], 1, *shape[1:])).shape == empty.shape
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.filterwarnings("ignore:.torch.jit.script:DeprecationWarning")  # forward, by torch
+def test_torch_func_differentiates_as_autograd_does(dtype: torch.dtype) -> None:
+    degrade = Underwater(Medium.from_water("9C"))
+    image, z = torch.rand(1, 3, 20, 30, dtype=dtype), torch.linspace(1, 4, 30, dtype=dtype)
+    z = z.repeat(1, 1, 20, 1)
+
+    def patch(image: Tensor, z: Tensor) -> Tensor:
+        return degrade(image, z)[0, :, ::9, ::15].flatten()
+
+    for argument in (0, 1):
+        expected = torch.autograd.functional.jacobian(patch, (image, z))[argument]
+        for jacobian in (torch.func.jacrev, torch.func.jacfwd):
+            assert (jacobian(patch, argument)(image, z) - expected).abs().max() < 1e-5

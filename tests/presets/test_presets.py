@@ -263,7 +263,7 @@ DRAWN = {
 """What differs from picture to picture where a line is left out."""
 
 FIXED = [
-    *("contrast", "camera", "g", "field", "exponent", "unit"),
+    *("camera", "g", "field", "exponent", "unit"),
     *("near", "far", "gamma", "color_space", "metered"),
 ]
 """What is the same for all pictures where a line is left out."""
@@ -348,6 +348,16 @@ def test_refusals_name_the_file_and_the_key(tmp_path, name, pattern, replacement
 def test_arguments_that_are_refused(name, options, message):
     with pytest.raises(ValueError, match=message):
         uwaug.load_preset(name, **options)
+
+
+def test_files_of_windows(tmp_path: Path) -> None:
+    text = '# Höhle\nwater = "3C"\n'
+    for code in ("utf-8-sig", "utf-16"):
+        (tmp_path / "own.toml").write_text(text, encoding=code)
+        assert uwaug.load_preset(tmp_path / "own.toml").water.waters == "3C"
+    (tmp_path / "own.toml").write_text(text, encoding="cp1252")
+    with pytest.raises(ValueError, match=r"own\.toml: is no text in UTF-8"):
+        uwaug.load_preset(tmp_path / "own.toml")
 
 
 def test_deep_nesting_and_pipes_are_refused(tmp_path: Path) -> None:

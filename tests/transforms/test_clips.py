@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 import torch
 
-from uwaug import RandomDevelopment, RandomUnderwater, Sensor
+from uwaug import RandomDevelopment, RandomUnderwater, RandomWater, Sensor
 from uwaug.distance import MadeUp
 from uwaug.formation.field import random_fields
 from uwaug.optics.view import WIDE
@@ -141,3 +141,14 @@ def test_a_film_left_alone_and_one_that_would_flicker(torchvision, frames):
         ValueError, match="made up from each frame, a film would flicker: give maps"
     ):
         RandomUnderwater(distance=MadeUp())(video)
+
+
+def test_a_frame_is_as_saturated_as_its_picture() -> None:
+    """Vivid water, whose saturation is held by the meter."""
+    aug = RandomUnderwater(RandomWater("7C", color_matrix=1.0), light=None)
+    image, z = torch.full((3, 24, 33), 0.7), torch.full((1, 24, 33), 2.0)
+    for key in range(8):
+        params = aug.make_params(image, aug.generator_of(0, 0, key))
+        film = aug.for_clip(params, image, z)
+        alone, frame = (aug.transform(image, z, record) for record in (params, film))
+        torch.testing.assert_close(frame, alone, rtol=0, atol=1e-5)

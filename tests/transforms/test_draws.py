@@ -1,9 +1,11 @@
 """Draws by name: each number stands for itself."""
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from augmenting import distances, flat, picture, same
@@ -149,3 +151,15 @@ def test_median_and_ends_are_those_of_what_is_not_open_water() -> None:
     rest = z[z < torch.inf]
     assert (nearest, farthest) == (rest.min(), rest.max())
     assert median == pytest.approx(float(rest.median()), rel=0.1)
+
+
+@pytest.mark.parametrize("kind", [list, np.array, torch.tensor, deque])
+def test_any_two_numbers_are_a_range(kind: Any) -> None:
+    made = RandomUnderwater(
+        RandomWater("3C", contrast=kind([0.25, 0.5])), distance=kind([1.0, 4.0])
+    )
+    same = RandomUnderwater(RandomWater("3C", contrast=(0.25, 0.5)), distance=(1.0, 4.0))
+    assert repr(made) == repr(same)
+    assert made.to_dict() == same.to_dict()
+    with pytest.raises(ValueError, match="must be a number or a range"):
+        RandomWater("3C", contrast=kind([0.5, 0.25]))

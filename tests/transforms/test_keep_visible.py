@@ -268,3 +268,12 @@ def test_other_refusals() -> None:
         KeepVisible(0.05)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"min_contrast must be in \[0, 1\]"):
         KeepVisible(AUGMENT, 5)
+
+
+def test_boxes_that_are_turned() -> None:
+    corners = torch.tensor([[14.0, 5, 24, 20, 14, 35, 4, 20], [46, 2, 58, 20, 46, 38, 34, 20]])
+    kept = KEEP(image(), distance(), {"boxes": corners, "labels": torch.arange(2)})[2]
+    assert kept["labels"].tolist() == [0]
+    assert torch.equal(kept["boxes"], corners[:1])
+    with pytest.raises(ValueError, match=r"got \(3, 5\): of rotated boxes give corners .* 'masks'"):
+        KEEP(image(), distance(), {"boxes": torch.rand(3, 5), "labels": torch.arange(3)})

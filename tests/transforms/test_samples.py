@@ -106,3 +106,15 @@ def test_refused_samples(sample: Any, message: str) -> None:
 def test_maps_are_checked_whatever_is_drawn() -> None:
     with pytest.raises(ValueError, match="height and width must agree"):
         RandomUnderwater(p=0.0)(picture(), distances()[:, 9:])
+
+
+@pytest.mark.parametrize("kind", ["Image", "Video"])
+def test_a_second_picture_stays_dry_for_no_one_in_silence(torchvision: Any, kind: str) -> None:
+    left, right = (getattr(torchvision.tv_tensors, kind)(picture(2)) for _ in range(2))
+    aug = RandomUnderwater(distance=3.0)
+    for sample in ({"image": left, "stereo": [right]}, (left, {"stereo": [right]})):
+        where = r"sample\['stereo'\]\[0\]" if isinstance(sample, dict) else r"\[1\]\['stereo'\]"
+        with pytest.raises(ValueError, match=rf"{where}.* is a second picture.* make_params"):
+            aug(sample)
+    clean = right.as_subclass(Tensor)
+    assert aug({"image": left, "clean": clean})["clean"] is clean

@@ -25,6 +25,17 @@ def remove_left(folder: Path) -> None:
                 path.unlink()
 
 
+def read_text(path: Path) -> str:
+    """Text of a file in UTF-8, with a byte order mark or without, or in PowerShell's UTF-16."""
+    require_regular(path)
+    data = path.read_bytes()
+    is_utf16 = data.startswith((b"\xff\xfe", b"\xfe\xff"))
+    try:
+        return data.decode("utf-16" if is_utf16 else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: is no text in UTF-8, save it as such: {error}") from None
+
+
 def require_regular(path: str | os.PathLike[str]) -> None:
     """Refuse, by an OSError, what is no regular file: to open a pipe would wait for a writer."""
     _refuse_irregular(Path(path), os.stat(path))

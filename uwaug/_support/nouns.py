@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 from uwaug._support import checks
 from uwaug._support.codec import changed
-from uwaug._support.ranges import Range, as_range
+from uwaug._support.ranges import Range, as_range, ends_of
 
 Drawn = Mapping[str, Any]  # numbers of a noun that a picture has drawn, by name
 SEEDS = 2**32  # seeds are whole numbers from 0 to below this one
@@ -63,12 +63,12 @@ class Noun:
         return {name: getattr(self, name) for name in self._domains}
 
     def require_ranges(self) -> None:
-        """Refuse a range that falls or leaves its domain; turn lists into tuples."""
+        """Refuse a range that falls or leaves its domain; turn others into tuples."""
         self.random()  # looks at all ranges
         for noun in (self, *self._nouns.values()):
             for name, value in [*vars(noun).items()]:
-                if name in noun._ends and isinstance(value, list):
-                    object.__setattr__(noun, name, tuple(value))
+                if name in noun._ends and (ends := ends_of(value)) is not None:
+                    object.__setattr__(noun, name, ends)
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
         """Draw the numbers of a picture, by name."""

@@ -1,6 +1,8 @@
 """Ranges from which numbers are drawn."""
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +20,21 @@ def as_range(
     low = high = math.nan
     if isinstance(value, (int, float, np.number)) and not isinstance(value, bool):
         low = high = float(value)
-    elif isinstance(value, (tuple, list)) and len(value) == 2:
-        (low, _), (high, _) = (as_range(name, end, least, most, unit) for end in value)
+    elif (ends := ends_of(value)) is not None:
+        (low, _), (high, _) = (as_range(name, end, least, most, unit) for end in ends)
     if not (least <= low <= high <= most and math.isfinite(low) and math.isfinite(high)):
         domain = f"{checks.bounds(least, most)} {unit}".rstrip()
         expected = f"a number or a range (low, high) with low ≤ high, {domain}"
         raise ValueError(f"{name} must be {expected}; got {value!r}")
     return low, high
+
+
+def ends_of(value: Any) -> tuple[Any, Any] | None:
+    """Return the ends of a range in any sequence, array or tensor of two; None for all else."""
+    if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__getitem__"):
+        return None
+    ends = tuple(value.tolist() if hasattr(value, "tolist") else value)
+    return (ends[0], ends[1]) if len(ends) == 2 else None
 
 
 def read_range(text: str) -> Range | None:

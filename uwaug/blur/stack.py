@@ -1,6 +1,7 @@
 """Execution of a plan: the stack of fixed blurs, and the mixture of them at each pixel."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -114,6 +115,35 @@ def _node_blur_backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]
 _node_blur.register_autograd(_node_blur_backward, setup_context=_remember)
 
 
+class _Blur(torch.autograd.Function):
+    """`_node_blur` for torch.func, which differentiates no operators of ours."""
+
+    @staticmethod
+    def forward(x: Tensor, *arguments: Any) -> Any:
+        blur: Tensor = _node_blur(x, *arguments)
+        return blur
+
+    setup_context = staticmethod(_remember)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        *arguments, adjoint = ctx.arguments
+        return _applied(gradient, *arguments, not adjoint), None, None, None, None
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor, *_: None) -> Tensor:
+        return _applied(tangent, *ctx.arguments)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: Any, x: Tensor, *arguments: Any) -> tuple[Tensor, int]:
+        x = x.movedim(in_dims[0], 1)
+        h, batch, n, w = x.shape
+        return _applied(x.reshape(h, -1, w), *arguments).reshape(h, batch, n, w), 1
+
+
+_applied: Callable[..., Tensor] = _Blur.apply
+
+
 def products(x: Tensor, chain: Chain) -> Tensor:
     """Apply the matrices of a chain in turn to x (H, N, W)."""
     for axis, matrix in chain:
@@ -143,8 +173,9 @@ def blurred(image: Tensor, plan: BlurPlan) -> list[Tensor]:
     """Blurs of a batch by a plan: K tensors like `image` (BxCxHxW), differentiable."""
     b, c, h, w = image.shape
     x = image.permute(2, 0, 1, 3).reshape(h, b * c, w)
+    of_node = _applied if torch._C._are_functorch_transforms_active() else _node_blur
     stack = []
     for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):
-        blur = _node_blur(x, sigma, cell, plan.reach, False) if sigma > 0 else x
+        blur = of_node(x, sigma, cell, plan.reach, False) if sigma > 0 else x
         stack.append(blur.reshape(h, b, c, w).permute(1, 2, 0, 3))
     return stack

@@ -81,7 +81,7 @@ def degrade(
     ] = None,
     contrast: Annotated[
         str | None,
-        typer.Option(help="Contrast left at median distance, .4 or .1:.8; none: as in nature."),
+        typer.Option(help="Contrast left at median distance, .4 or .1:.8."),
     ] = None,
     severity: Annotated[
         str | None, typer.Option(help="Murk, 1 to 5; all: a folder for each.", metavar="1…5|all")
@@ -187,6 +187,9 @@ def degrade(
         if distances.source is not None:
             values["distance"] = distances.source
         augment = RandomUnderwater.from_dict(values)
+        if plain and not augment.distance.has_size:
+            ends = "--set distance.near=1 --set distance.far=5"
+            raise ValueError(f"--plain draws nothing, but this scene has no size: give {ends}")
         # a network of the hub that cannot be fetched ends the run before its first picture
         getattr(augment.distance, "file", None)
         recipe = Recipe(

@@ -10,7 +10,7 @@ from torch.nn.functional import interpolate
 from uwaug._support import checks
 from uwaug._support.once import Once
 from uwaug.distance.sizes import size_in_words
-from uwaug.distance.unknown import FARTHEST_SEEN, alone_of_metres, in_words, of_metres
+from uwaug.distance.unknown import FARTHEST_SEEN, alone_of_metres, in_words, of_metres, scattered
 
 _CELLS_ACROSS = 72  # of a small copy along the shorter side; nine pixels are read in each
 REVERSED = -0.1  # convexity below which near and far are exchanged; one true crop in 100 has less
@@ -29,11 +29,11 @@ _SCALES = (
     "look like kilometres, as all is nearer than 5 cm: --unit 1000 (multiply by 1000)",
     "span all that 16 bits hold, as maps do that were stretched: if they are relative, 0…1, "
     f"{_INVERSE} where large is near, Relative where 0 is near",
+    "are all multiples of 8 mm: of SUN RGB-D, turn the bits back (numbers >> 3 | numbers << 13)",
 )
-_STRETCHED = len(_SCALES) - 1
+_STRETCHED, _EIGHTS = 4, 5
 
 _LARGEST_16_BITS_M = (65.535, 655.35)  # in mm and in cm
-_SCATTERED_SHARE = 0.3  # of cells with open water in part, from which on it stands for unknown
 _STAND_IN_SHARE = 0.2  # of a map's pixels at most: more may be a wall
 
 
@@ -43,6 +43,7 @@ class Evidence(NamedTuple):
     digest: int  # hash of a small copy, which tells maps apart
     size: str  # sentence, if the map has another size than its picture
     holes: float  # share of unknown pixels
+    specks: float  # share of infinite pixels, where they are scattered
     alone: str  # sentence, if a number is far from all others
     top: float  # that number
     scale: int  # index into `_SCALES`, or -1
@@ -105,7 +106,7 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     (h, w), (height, width) = z.shape[-2:], image.shape[-2:]
     size = "" if (h, w) == (height, width) else size_in_words((h, w), (height, width))
     if not z.numel():
-        return Evidence(0, size, 0.0, "", torch.nan, -1, torch.nan)
+        return Evidence(0, size, 0.0, 0.0, "", torch.nan, -1, torch.nan)
     short = min(h, w)
     cells = min(_CELLS_ACROSS, max(1, short // 3))
     rows, columns = (min(4 * _CELLS_ACROSS, cells * side // short) for side in (h, w))
@@ -113,11 +114,8 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
     is_valid = points > 0
     nine = torch.where(is_valid, points, torch.nan).reshape(rows, 3, columns, 3).transpose(1, 2)
     log = nine.flatten(2).nanmedian(-1).values.log()
-    # sparse maps write infinity for unknown; open water lies together
-    is_open = nine.isinf().flatten(2)
-    if float((is_open.any(-1) & ~is_open.all(-1)).float().mean()) > _SCATTERED_SHARE:
-        is_valid &= points.isfinite()
     holes = 1 - float(is_valid.float().mean())
+    specks = scattered(torch.where(z >= checks.OPEN, torch.inf, z)).float().mean()
     alone = of_metres(z) | alone_of_metres(z)
     is_stand_in = 0 < float(alone.float().mean()) < _STAND_IN_SHARE
     words = in_words(z, alone, "if they are unknown, set them to 0") if is_stand_in else ""
@@ -129,7 +127,7 @@ def evidence(distance: Tensor, image: Tensor) -> Evidence:
         high = float(torch.where(z < checks.OPEN, z, 0.0).amax())
         if any(0.9 * end < high < end for end in _LARGEST_16_BITS_M):
             scale = _STRETCHED
-    return Evidence(digest, size, holes, words, top, scale, _convexity(log))
+    return Evidence(digest, size, holes, float(specks), words, top, scale, _convexity(log))
 
 
 def judged(evidences: Iterable[Evidence]) -> list[str]:
@@ -138,9 +136,13 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
     sentences = [entry.size for entry in entries if entry.size][:1]
     holes = sorted(entry.holes for entry in entries)
     if _is_majority([share > 0.5 for share in holes]):
-        cure = "set scattered +inf to 0, and see what --holes makes up"
         median = 100 * holes[len(holes) // 2]
-        sentences.append(f"{median:.0f} % of the distances are unknown: {cure}")
+        sentences.append(f"{median:.0f} % of the distances are unknown: see what --holes makes up")
+    specks = sorted(entry.specks for entry in entries)
+    if _is_majority([share > 0 for share in specks]):
+        got = f"{100 * specks[len(specks) // 2]:.2g} % of the distances are +inf, scattered among"
+        cure = "open water, unless --holes behind (holes='behind') fills them"
+        sentences.append(f"{got} near ones: {cure}")
     for scale, sentence in enumerate(_SCALES):
         if _is_majority([entry.scale == scale for entry in entries]):
             sentences.append(f"distances {sentence}")
@@ -159,6 +161,16 @@ def judged(evidences: Iterable[Evidence]) -> list[str]:
             "one witness (--sequence)"
         )
     return list(dict.fromkeys(sentences))
+
+
+def may_be_mm(shares: Tensor) -> bool:
+    """True if a map that was read without unit holds whole numbers in less than a tenth of 0…1."""
+    numbers = 65535 * shares[shares > 0]
+    sample = numbers[:: max(1, numbers.numel() // 4096)].sort().values
+    margin, rounded = sample.numel() // 100, sample.round()
+    is_narrow = sample.numel() >= 64 and float(sample[-1 - margin] - sample[margin]) < 6554
+    has_numbers = len(set(rounded.tolist())) > 16
+    return is_narrow and has_numbers and torch.allclose(sample, rounded, 0, 0.01)
 
 
 def _is_majority(votes: list[bool]) -> bool:
@@ -180,7 +192,14 @@ def _scale(points: Tensor) -> int:
         # both ends, or 8 bits divided by 255; those near a lens may all be nearer than 1 m
         relative = (low < 0.02 and high > 0.3) or _are_whole(255 * sampled, 8)
         return 0 if relative else 3 if high < 0.05 else -1
-    return 1 if _are_whole(sampled, 16) else 2 if float(sampled.median()) > 100 else -1
+    if not _are_whole(sampled, 16):
+        return 2 if float(sampled.median()) > 100 else _EIGHTS if _are_eights(sampled) else -1
+    return 1
+
+
+def _are_eights(metres: Tensor) -> bool:
+    """True for whole multiples of 8 mm, unless they are of centimetres, too."""
+    return _are_whole(metres / 0.008, 16) and not _are_whole(metres / 0.04, 1)
 
 
 def _are_whole(values: Tensor, least: int) -> bool:

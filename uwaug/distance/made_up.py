@@ -26,6 +26,7 @@ Floats = NDArray[np.float32]
 _OPEN_PROBABILITY = 0.75  # of open water where a picture has a place for it
 # of a ramp instead: nets learn that water hides by distance, and not that this network is right
 _RAMP_PROBABILITY = 0.03
+_OPEN = 1.2  # relative distance of open water, whose rim lies at the far end
 _LEAST_OPEN_SHARE = 0.03  # of a picture that is surely open water, if any is, and of each patch
 # probabilities from which open water is sure, begins around a sure place, and is whole there
 _SURE, _OPEN_FROM, _OPEN_TO = 0.7, 0.4, 0.6
@@ -39,9 +40,9 @@ class MadeUp(Placed):
     """Distances made up from each picture alone, drawn anew each time: no maps are needed.
 
     A small network in the package guesses what is nearer than what, and where open water is, such
-    as sky. An exponent, a smooth field, and the presence of open water (in three of four), at the
-    far end, are drawn. That teaches that water hides far things more than near ones. It is no
-    truth to restore or measure by.
+    as sky. An exponent, a smooth field, and the presence of open water (in three of four),
+    behind the far end, are drawn. That teaches that water hides far things more than near ones.
+    It is no truth to restore or measure by.
 
     Attributes:
         near, far: see `Placed`; near above 0.
@@ -77,14 +78,18 @@ class MadeUp(Placed):
         small = _varied(log, is_open, rng).astype(np.float32)
         lines = _guided(small, guide)
         lines[:3] /= white
+        # regression overshoots: without open water nothing lies beyond 1
+        depth = _enlarged(lines, image, float(small.max()))
         near, far = drawn["near"], drawn["far"]
-        z = _enlarged(lines, image).mul_(math.log(far / near)).exp_().mul_(near)
+        z = depth.clamp(max=1).mul_(math.log(far / near)).exp_().mul_(near)
+        if not drawn.get("hides"):
+            z.masked_fill_(depth > (1 + _OPEN) / 2, math.inf)
         return z[None].to(torch.promote_types(image.dtype, torch.float32))
 
 
 def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
-    """Draw relative distances (HxW), alike to the left and the right: 0 near, 1 far, as open water;
-    from their logarithms, up to scale and shift, and probabilities of open water.
+    """Draw relative distances (HxW), alike to the left and the right: 0 near, 1 far, `_OPEN` open
+    water; from their logarithms, up to scale and shift, and probabilities of open water.
     """
     height, width = log.shape
     openness = np.clip((is_open - _OPEN_FROM) / (_OPEN_TO - _OPEN_FROM), 0, 1)
@@ -102,7 +107,7 @@ def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
     for down, across, phase in zip(*rng.normal(0, 3, (3, 4)), strict=True):
         depth = depth + rng.uniform(0, 0.06) * np.cos(down * y + phase) * np.cos(across * x)
     depth = np.clip(depth, 0, 1)
-    return depth + (1 - depth) * openness
+    return depth + (_OPEN - depth) * openness
 
 
 def _guided(values: Floats, colours: Floats) -> Floats:
@@ -139,18 +144,18 @@ def _box(size: int) -> Floats:
     return box
 
 
-def _enlarged(lines: Floats, picture: Tensor) -> Tensor:
-    """Put the colours of a picture (3xHxW) into `lines` (4xhxw), brought to its size; 0…1."""
+def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
+    """Put the colours of a picture (3xHxW) into `lines` (4xhxw), brought to its size; 0…highest."""
     is_read = picture.is_cpu and picture.dtype in (torch.uint8, torch.float32)
     if is_read and wanted() and (loop := _compiled()):
         result = np.empty(picture.shape[1:], np.float32)
         places = [_places(*sides) for sides in zip(lines.shape[1:], picture.shape[1:], strict=True)]
-        loop(lines, picture.numpy(), *places, result)
+        loop(lines, picture.numpy(), *places, np.float32(highest), result)
         return torch.from_numpy(result)
     weights = torch.from_numpy(lines).to(picture.device)[None]
     large = interpolate(weights, picture.shape[1:], mode="bilinear")[0]
     large[:3].mul_(picture)
-    return large.sum(0).clamp_(0, 1)
+    return large.sum(0).clamp_(0, highest)
 
 
 def _places(small: int, large: int) -> tuple[Any, Floats]:
@@ -169,7 +174,7 @@ def _compiled() -> Any:
         return None
 
 
-def _enlarge(lines: Any, picture: Any, rows: Any, columns: Any, out: Any) -> None:
+def _enlarge(lines: Any, picture: Any, rows: Any, columns: Any, highest: Any, out: Any) -> None:
     height, width = out.shape
     last = lines.shape[1] - 1
     for i in range(height):
@@ -183,4 +188,4 @@ def _enlarge(lines: Any, picture: Any, rows: Any, columns: Any, out: Any) -> Non
             for c in range(3):
                 slope = line[c, before] + across * step[c, before]
                 value += slope * np.float32(picture[c, i, j])
-            out[i, j] = min(max(value, np.float32(0)), np.float32(1))
+            out[i, j] = min(max(value, np.float32(0)), highest)

@@ -107,7 +107,7 @@ class Network(Source):
     def has_size(self) -> bool:
         return self.holds.has_size
 
-    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> Drawn:
+    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> dict[str, Any]:
         return {**drawn, "holds": self.holds.placed(drawn["holds"], metres_for)}
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:

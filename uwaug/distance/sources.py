@@ -21,6 +21,7 @@ from uwaug.distance.unknown import (
     of_metres,
     of_shares,
     range_end,
+    scattered,
 )
 
 _Policy = Literal["error", "fill", "behind", "far"]
@@ -56,9 +57,9 @@ class Source(Noun):
         """True if scenes are as large as they are, whatever the water."""
         return True
 
-    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> Drawn:
+    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> dict[str, Any]:
         """The draw of a picture in its water, which leaves shares of contrast at so many m."""
-        return drawn
+        return dict(drawn)
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         """Compute the distances of a picture: metres above 0, or +inf for open water.
@@ -83,9 +84,10 @@ class Metres(Source):
     """Maps of metres along the ray, or of planar depth.
 
     Attributes:
-        holes: treatment of NaN, 0 and negative distances, see `Holes`; and of stand-ins beyond 50
-            m, far from all others, such as 65.535 or 1000. With "error" a stand-in from 100 m on is
-            open water, as is 1e7 m and more; a nearer one stays, with a warning.
+        holes: treatment of NaN, 0 and negative distances, see `Holes`; of +inf that is scattered
+            among near pixels; and of stand-ins beyond 50 m, far from all others, such as 65.535 or
+            1000. With "error" a stand-in from 100 m on is open water, as are +inf, which is told
+            where it is scattered, and 1e7 m and more; a nearer stand-in stays, with a warning.
         planar: maps hold depth along the optical axis, as depth cameras and renderers write it.
     """
 
@@ -105,7 +107,7 @@ class Metres(Source):
             z = torch.where(z >= checks.OPEN, torch.inf, z)
             stand_in = of_metres(z)
             if self.holes != "error":
-                z = torch.where(stand_in, torch.nan, z)
+                z = torch.where(stand_in | scattered(z), torch.nan, z)
             elif bool((stand_in & (z < NO_RANGE)).any()):
                 _stand_in_warning.warn(f"distance: {in_words(z, stand_in)}")
             else:
@@ -147,9 +149,9 @@ class Placed(Source):
     def has_size(self) -> bool:
         return self.near is not None and self.far is not None
 
-    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> Drawn:
+    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> dict[str, Any]:
         if self.has_size:
-            return drawn
+            return dict(drawn)
         near, far = drawn.get("near"), drawn.get("far")
         if near is None:
             near = min(max(metres_for(drawn["near_left"]), _NEAREST_M[0]), _NEAREST_M[1])

@@ -23,6 +23,7 @@ _TYPE_ENDS_M = tuple(
 # share of the pixels at the largest distance, and its ratio to the median of all others, from which
 # on a renderer ends there; by default at most .12 of the contrast would be left so far away
 _END_SHARE, _END_TIMES = 0.01, 20.0
+_SCATTERED_SHARE = 0.3  # of the pixels with a distance, that touch infinity where it is no water
 
 
 def of_metres(z: Tensor) -> Tensor:
@@ -66,6 +67,22 @@ def range_end(z: Tensor) -> Tensor:
         if others.numel() and bool(top >= _END_TIMES * others.median()):
             return is_end
     return torch.zeros_like(is_end)
+
+
+def scattered(z: Tensor) -> Tensor:
+    """True where a map (1xHxW) is infinite, if many of the pixels with a distance touch such ones:
+    open water lies together.
+    """
+    z = z.detach()
+    is_open, is_seen = z == torch.inf, (z > 0) & (z < torch.inf)
+    touches = is_open
+    for axis in (-2, -1):  # several times as fast as a pooling
+        before, after = touches.roll(1, axis), touches.roll(-1, axis)
+        before.select(axis, 0).fill_(False)
+        after.select(axis, -1).fill_(False)
+        touches = touches | before | after
+    is_scattered = int((touches & is_seen).sum()) > _SCATTERED_SHARE * int(is_seen.sum())
+    return is_open if is_scattered else torch.zeros_like(is_open)
 
 
 def in_words(x: Tensor, alone: Tensor, cure: str = "") -> str:

@@ -4,18 +4,27 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
+from uwaug._support.atomic import read_text
+from uwaug.files.folder import MANIFEST
 from uwaug.files.labels import Entry, Key, Labels, require_size
 from uwaug.files.paths import matched, parts_of, split_of
 
 if TYPE_CHECKING:
+    from uwaug._support.pixels import Pixels, Size
     from uwaug.files.items import Item
-    from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
+
+
+_OTHERS = (
+    "in LVIS write the end of coco_url as file_name; of YouTube-VIS, SA-1B, labelme, jsonl, CSV or "
+    "MOT's gt.txt make a COCO file with an image for each frame or picture"
+)
+_MOST_FILES = 64  # of the splits of a data set
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +33,7 @@ class Coco(Labels):
 
     rest: Entry = field(default_factory=dict)  # all other entries of the file
     count: int = 0  # of images in the file
+    is_split: bool = False  # if it is one of several
 
     reads = "a COCO file (.json)"
 
@@ -32,7 +42,7 @@ class Coco(Labels):
         if not path.is_file():
             return ""
         try:
-            rest = json.loads(path.read_text(encoding="utf-8-sig"))
+            rest = json.loads(read_text(path))
             images = list(rest.pop("images"))
             annotations: dict[Any, list[Entry]] = {image["id"]: [] for image in images}
             are_named = all(parts_of(str(image["file_name"])) for image in images)
@@ -44,15 +54,15 @@ class Coco(Labels):
                     return f"{path}: is a panoptic file: {cure}"
                 annotations[entry["image_id"]].append(entry)
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            return f"{path}: is no COCO file: {error!r}"
+            return f"{path}: is no COCO file: {error!r}: {_OTHERS}"
         matches = _matches(path, images, items)
         of = {name: (image, annotations[image["id"]]) for name, image in matches.items()}
         names = ", ".join(str(image["file_name"]) for image in images[:3])
         expected = f"no image has the file_name {items[0].name} in its split (there are {names})"
         return cls(path, of, rest, len(images)) if of else f"{path}: {expected}"
 
-    def only(self, name: str) -> "Coco":
-        return Coco(self.path, super().only(name).of)
+    def only(self, name: str) -> Self:
+        return replace(super().only(name), rest={})
 
     def digest(self, name: str) -> str | None:
         text = json.dumps(self.of.get(name)).encode()
@@ -82,7 +92,11 @@ class Coco(Labels):
             if [entry["id"] for entry in entries] != [judged.key for judged in picture.objects]:
                 raise ValueError(f"{self.path} has changed since {picture.place} was written")
             image_id = len(images) + 1 if renumber else image["id"]
-            images.append({**image, "id": image_id, "file_name": picture.place})
+            place = picture.place
+            if self.is_split:  # pictures lie below its folder, or another, as they did
+                above = parts_of(picture.item.name)[: -len(parts_of(str(image["file_name"])))]
+                place = place.removeprefix("".join(f"{folder}/" for folder in above))
+            images.append({**image, "id": image_id, "file_name": place})
             for entry, judged in zip(entries, picture.objects, strict=True):
                 if judged.kept:
                     number = len(annotations) + 1 if renumber else entry["id"]
@@ -93,6 +107,41 @@ class Coco(Labels):
         note = f"{missing} of {self.count} images of {self.path} have no picture here"
         text = json.dumps(content, ensure_ascii=False)
         return {self.path.name: text.encode()}, [note] * bool(missing)
+
+
+@dataclass(frozen=True, eq=False)
+class CocoSplits(Coco):
+    """COCO files in a folder, one for each split."""
+
+    splits: Mapping[str, Coco] = field(default_factory=dict)  # by their paths in the folder
+
+    reads = "a folder of COCO files"
+
+    @classmethod
+    def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
+        runs = {file.parent for file in path.rglob(MANIFEST)} - {path}
+        paths = [file for file in sorted(path.rglob("*.json")) if runs.isdisjoint(file.parents)]
+        if len(paths) > _MOST_FILES:
+            return f"{len(paths)} .json files, as of SA-1B or labelme: gather them in one of COCO"
+        opened = {file: Coco.opened(file, items) for file in paths if file.name != MANIFEST}
+        of: dict[str, Any] = {}
+        splits = {}
+        for file, labels in opened.items():
+            if isinstance(labels, Coco):
+                if twice := labels.of.keys() & of.keys():
+                    raise ValueError(f"{file} is one of two that label {min(twice)}: give one")
+                of |= labels.of
+                splits[file.relative_to(path).as_posix()] = replace(labels, is_split=True)
+        return cls(path, of, splits=splits) if of else "; ".join(map(str, [*opened.values()][:1]))
+
+    def only(self, name: str) -> Self:
+        paths = (file.path for file in self.splits.values() if name in file.of)
+        return replace(super().only(name), path=next(paths, self.path), splits={})
+
+    def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
+        lists = {place: file.lists(pictures) for place, file in self.splits.items()}
+        contents = {place: content for place, (of, _) in lists.items() for content in of.values()}
+        return contents, [note for _, notes in lists.values() for note in notes]
 
 
 def _matches(path: Path, images: Sequence[Entry], items: Sequence["Item"]) -> dict[str, Entry]:
@@ -114,7 +163,7 @@ def _matches(path: Path, images: Sequence[Entry], items: Sequence["Item"]) -> di
 
 
 def _pixels(entry: Entry, size: "Size") -> "Pixels":
-    from uwaug.files.pixels import of_box, of_polygons, of_runs
+    from uwaug._support.pixels import of_box, of_polygons, of_runs
 
     segmentation = entry.get("segmentation")
     if isinstance(segmentation, dict):

@@ -56,13 +56,9 @@ def distances_of(
         return Distances(source, distance)
     if sequence:
         low, high = _FILM_PLANE_M
-        note = (
-            f"Without --distance, all of a film is a plane, {low:g} to {high:g} m away, as "
-            "distances made up from each frame would flicker."
-        )
-        return Distances(_FILM_PLANE_M, None, note)
-    note = (
-        "Without --distance, distances are guessed from each picture: good to look at and to train "
-        "with, not to measure or restore by."
-    )
+        got = f"Without --distance, all of a film is a plane, {low:g} to {high:g} m away"
+        why = "distances made up from each frame would flicker"
+        return Distances(_FILM_PLANE_M, None, f"{got}, as {why}.")
+    got = "Without --distance, distances are guessed from each picture"
+    note = f"{got}: good to look at and to train with, not to measure or restore by."
     return Distances(WORDS["made-up"], None, note)

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uwaug._support import checks
 from uwaug.files.items import Item
@@ -34,7 +35,7 @@ class Frame(NamedTuple):
     """A frame of a film, which several cameras of a rig may have taken."""
 
     number: int  # place among all frames of the film, from 0
-    moment: int  # place in time, from 0, which frames of several cameras share
+    moment: float  # time in frames, from 0, which frames of several cameras share
     # frames that the film's draw may be settled on, the middle one of the first camera first
     candidates: tuple[Item, ...]
 
@@ -100,18 +101,31 @@ def _without_camera(path: str, camera: re.Pattern[str]) -> str:
     return camera.sub("*", re.sub(r"(?<=[a-z\d])(?=[A-Z])", " ", path))
 
 
-def _moments_of(cameras: Sequence[Sequence[Item]]) -> list[list[int]]:
+def _moments_of(cameras: Sequence[Sequence[Item]]) -> list[list[float]]:
     """The moment of each frame of each camera, which may have lost some: by the nearest time of the
-    first camera if names are times, else by the names of all.
+    first camera if names are times, else by the numbers in the names of all, or their order.
     """
     times = [[time_of(item.name) or math.nan for item in camera] for camera in cameras]
     if not any(map(math.isnan, itertools.chain(*times))):
         clock = np.sort(times[0])
         between = (clock[1:] + clock[:-1]) / 2
-        return [np.searchsorted(between, camera).tolist() for camera in times]
+        moments = _in_frames(clock)
+        return [moments[np.searchsorted(between, camera)].tolist() for camera in times]
     names = [_frame_names(camera) for camera in cameras]
-    places = {name: i for i, name in enumerate(sorted({*itertools.chain(*names)}, key=_counted))}
+    ordered = sorted({*itertools.chain(*names)}, key=_counted)
+    columns = [{*column} for column in itertools.zip_longest(*map(_counted, ordered))]
+    varied = [[*column] for column in columns if len(column) > 1]
+    is_counted = [*map(len, varied)] == [len(ordered)] and isinstance(varied[0][0], int)
+    numbers = np.array(sorted(varied[0]) if is_counted else range(len(ordered)), float)
+    places = dict(zip(ordered, _in_frames(numbers).tolist(), strict=True))
     return [[places[name] for name in camera] for camera in names]
+
+
+def _in_frames(times: NDArray[Any]) -> NDArray[Any]:
+    """Times, or numbers, that rise, as numbers of frames from 0: the usual step is one frame."""
+    steps = np.diff(times)
+    frames: NDArray[Any] = (times - times[0]) / (np.median(steps[steps > 0]) if steps.any() else 1)
+    return frames.round(1)
 
 
 def _frame_names(film: Sequence[Item]) -> list[str]:

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from uwaug._support.atomic import read_text
 from uwaug.files.folder import manifest_of
 from uwaug.files.paths import Files, aliases, matched, time_of
 from uwaug.files.pictures import ENDINGS, MAP_ENDINGS, holds_picture
@@ -20,16 +21,12 @@ _PICTURE_ENDINGS = tuple(end for end in ENDINGS if end != ".npy")
 _LISTED_ENDINGS = (*ENDINGS, *MAP_ENDINGS)
 # cures for pictures that are neither read nor written, with the ends of their names
 _UNREAD = {
-    "convert them first, as by magick mogrify -format png": (
-        *(".avif", ".bmp", ".gif", ".heic", ".heif", ".jfif", ".jp2", ".jpe", ".jxl"),
-        *(".pgm", ".pnm", ".ppm", ".tga", ".webp"),
-    ),
-    "develop them first, as by darktable-cli": (
-        *(".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"),
-    ),
-    "make frames of it, as by ffmpeg -i FILM frames/%05d.png, and give --sequence": (
-        *(".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".webm"),
-    ),
+    "convert them first, as by magick mogrify -format png": ".avif .bmp .dds .gif .hdr .heic .heif "
+    ".hif .insp .jfif .jp2 .jpe .jpf .jpx .j2k .jxl .mpo .pgm .pnm .ppm .psd .qoi .tga .webp",
+    "develop them first, as by darktable-cli": ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .gpr .iiq "
+    ".kdc .mef .mos .mrw .nef .nrw .orf .ori .pef .raf .raw .rw2 .rwl .sr2 .srf .srw .x3f",
+    "make frames of it, as by ffmpeg -i FILM frames/%05d.png, and give --sequence": ".3gp .360 "
+    ".avi .flv .hevc .insv .m2ts .m4v .mkv .mov .mp4 .mpeg .mpg .mts .mxf .ts .vob .webm .wmv",
 }
 
 _OF_DISKS = ("@eaDir", "@Recycle", "@Recently-Snapshot", "@tmp")  # folders of network disks
@@ -138,7 +135,7 @@ def left_out(
     pictures: Path, distance: str | Path | None = None, *, exclude: Iterable[str | Path | None] = ()
 ) -> str:
     """Numbers and cures of pictures in formats that are not read, in words; as `find_items`."""
-    endings = tuple(end for ends in _UNREAD.values() for end in ends)
+    endings = tuple(" ".join(_UNREAD.values()).split())
     paths = _inside(pictures, [*exclude, distance], endings) if pictures.is_dir() else ()
     counts = Counter(path.suffix.lower() for path in paths)
     return "; ".join(f"{n} {end}: {cure_of(end)}" for end, n in sorted(counts.items()))
@@ -146,7 +143,7 @@ def left_out(
 
 def cure_of(end: str) -> str:
     """Cure for files whose names end so; "" where they can be read."""
-    return next((cure for cure, ends in _UNREAD.items() if end.lower() in ends), "")
+    return next((cure for cure, ends in _UNREAD.items() if end.lower() in ends.split()), "")
 
 
 def _inside(
@@ -215,7 +212,7 @@ def _delay(pair: Sequence[str]) -> float:
 def _listed(file: Path, pictures: Sequence[Path], files: Files) -> dict[Path, Path]:
     """The maps of pictures in a list, of which a line names both, the map first or last in all."""
     pairs = []
-    for line in file.read_text(encoding="utf-8-sig").splitlines():
+    for line in read_text(file).splitlines():
         words = [w for w in re.split(r"[\s,;]+", line) if w.lower().endswith(_LISTED_ENDINGS)]
         pairs += [words] if len(words) == 2 else []
     if not (places := matched([first for first, _ in pairs], pictures)):
@@ -235,7 +232,7 @@ def _map(distance: str | Path | None, path: Path, name: str, files: Files) -> Pa
     if not _STEM.search(pattern):
         is_exr = path.suffix.lower() == ".exr"  # which may be its own map
         ends = (*MAP_ENDINGS, *_MARKED_ENDS)
-        file = files.of(Path() if is_exr else path, name, Path(distance), ends)
+        file = files.of(Path() if is_exr else path, name, Path(distance), ends, ())
         return file or Path(distance) / os.path.splitext(aliases(name)[0])[0]
     stems, folder = [os.path.splitext(alias)[0] for alias in aliases(name)], Path()
     if not os.path.dirname(pattern):

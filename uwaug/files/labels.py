@@ -16,14 +16,15 @@ from uwaug.files.record import digest
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from uwaug._support.pixels import Pixels, Size
     from uwaug.files.items import Item
-    from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
 # of an object in its picture: the id of a COCO annotation, a line of a YOLO file or an object of a
 # VOC file counted from 1, a value of a mask
 Key = int | str
 Entry = dict[str, Any]  # an object of JSON or YAML
+STEM = "{stem}"  # in a pattern of files, the name of a picture without its end
 _SAMPLE_FILES = 16  # files of labels by which a format is recognised
 
 
@@ -91,9 +92,12 @@ class Folder(Labels):
 
     @classmethod
     def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
-        of, files = {}, Files()
+        of, files, ends = {}, Files(), cls.ends()
+        if path.name.startswith(STEM):
+            path, end = path.parent, path.name.removeprefix(STEM)
+            ends = (end,) if end.lower().endswith(ends) else ()
         for item in items:
-            if file := files.of(item.picture, item.name, path, cls.ends(), cls.folders):
+            if file := files.of(item.picture, item.name, path, ends, cls.folders):
                 of[item.name] = file
         if not of:
             expected = (path / items[0].name).with_suffix(cls.end)

@@ -1,4 +1,4 @@
-"""Labels that are masks: a PNG file for each picture."""
+"""Labels that are masks: a file for each picture."""
 
 import io
 from collections.abc import Collection, Iterator, Sequence
@@ -11,10 +11,11 @@ from uwaug.files.labels import Folder, Key, require_size
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from uwaug.files.pixels import Pixels, Size
+    from uwaug._support.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
 _MARKS = ("_mask", "_masks", "_seg", "_segmentation", "-mask")  # of x.png
+_ENDINGS = (".png", ".bmp", ".gif", ".tif", ".tiff")
 _MAX_COLOURS = 256  # of a mask; a photograph has more
 _SMALL_VALUE = 20  # masks that count classes or objects begin below
 _IGNORED_COLOUR = 0xE0E0C0  # Pascal VOC's, of pixels to ignore
@@ -31,13 +32,13 @@ class Masks(Folder):
     ignored: frozenset[Key] = frozenset({0, _IGNORED_COLOUR})  # values that stay as they are
     has_255: bool = False  # beside small values in the samples, which is told
 
-    reads = "a folder of .png masks"
-    end = ".png"
+    reads = "a folder of masks"
+    end = ".png"  # of those that are written
     folders = ("labels", "masks", "SegmentationClass")
 
     @classmethod
     def ends(cls) -> tuple[str, ...]:
-        return (cls.end, *(f"{mark}{cls.end}" for mark in _MARKS))
+        return tuple(f"{mark}{end}" for mark in ("", *_MARKS) for end in _ENDINGS)
 
     @staticmethod
     def require(file: Path) -> None:
@@ -67,7 +68,7 @@ class Masks(Folder):
         import numpy as np
         from PIL import Image
 
-        if not dropped:
+        if not dropped and source.suffix.lower() == self.end:
             return source.read_bytes()
         pixels, values, palette = _read(source)
         pixels[np.isin(values, list(dropped))] = 0

@@ -71,12 +71,7 @@ class Files:
         return None
 
     def of(
-        self,
-        picture: Path,
-        name: str,
-        folder: Path,
-        ends: Sequence[str],
-        folders: Iterable[str] = (),
+        self, picture: Path, name: str, folder: Path, ends: Sequence[str], folders: Iterable[str]
     ) -> Path | None:
         """The file of a picture in a folder of such: that of its name, or an alias, with one of the
         ends; but not the picture itself.
@@ -166,5 +161,7 @@ def matched(
 
 def _reversed_parts(path: str, left_out: Iterable[str]) -> list[str]:
     """Name and folders of a file in normal form, the name first, without some folders."""
+    # Label Studio's paths are queries: /data/local-files/?d=reef%2F1.jpg
+    path = unquote(path).rpartition("?d=")[2]
     name, *folders = [*map(normal, parts_of(path))][::-1] or [""]
     return [name, *(folder for folder in folders if folder not in left_out)]

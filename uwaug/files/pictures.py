@@ -27,7 +27,7 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _PFM = re.compile(rb"(P[Ff])\s+(\d+)\s+(\d+)\s+(\S+)(?:\r\n|\s)")  # colour or grey, size, scale
 _BIT_DEPTH = 24  # place in a PNG of the byte with the number of bits of a channel
 _ORIENTATION_CHUNKS = (b"eXIf", b"Raw profile type", b"XML:com.adobe.xmp")  # of a PNG
-_PROFILE_TAG = 34675  # of TIFF
+_PROFILE_TAG, _NODATA_TAG = 34675, 42113  # of TIFF
 _REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of red, green, blue, white
 _SAME_LEVELS = 2  # by which profiles of sRGB differ, of 255
 
@@ -76,8 +76,11 @@ def open_picture(
     if values.ndim == 2 or (values.ndim == 3 and values.shape[2] == 2):  # grey, with alpha
         grey = values.reshape(*values.shape[:2], -1)
         values = np.concatenate([grey[..., :1].repeat(3, 2), grey[..., 1:]], 2)
-    if file.is_multiplied and values.ndim == 3 and values.shape[2] == 4:
-        values = _divided(values)
+    if values.ndim == 3 and values.shape[2] == 4:
+        if not file.has_alpha:
+            cure = "is no alpha: save the first three alone, as by gdal_translate -b 1 -b 2 -b 3"
+            raise ValueError(f"{path}: got {file.values.shape}, of which the last band {cure}")
+        values = _divided(values) if file.is_multiplied else values
     if color_space == "srgb" and values.dtype.kind == "u" and _to_srgb(file.profile):
         profile = file.profile
         values = np.concatenate([_in_srgb(values[..., :3], profile), values[..., 3:]], 2)
@@ -107,29 +110,32 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
             inverse; those of 8 and 16 bits become shares of the largest of their type.
 
     Returns:
-        1xHxW, float32: m, or numbers without unit. Unknown pixels (0, negative, NaN) stay; with a
-        unit, the largest number of a type becomes NaN, too.
+        1xHxW, float32: m, or numbers without unit. Unknown pixels (0, negative, NaN) stay; GDAL's
+        NODATA of a TIFF becomes NaN, and with a unit the largest number of a type, too.
 
     Raises:
         ValueError: if channels differ, the unit is unknown, or the file cannot be decoded; with a
             unit, if it has 8 bits, or a median beyond 1000 m.
         OSError: if it cannot be read.
     """
-    values = _decoded(Path(path), "Z").values
+    values, nodata = (file := _decoded(Path(path), "Z")).values, file.nodata
     if values.ndim == 3 and all(np.array_equal(v, values[..., 0].T, True) for v in values.T):
         values = values[..., 0]
     if values.ndim != 2:
-        raise ValueError(f"{path}: expected one channel (H, W), got {values.shape}: make it grey")
+        cure = "are distances packed in them? Unpack them first, as by their data set's own tool"
+        raise ValueError(f"{path}: expected one channel (H, W), got {values.shape}: {cure}")
+    is_unknown = np.zeros(values.shape, bool) if nodata is None else values == nodata
     if unit is None:
         white = np.iinfo(values.dtype).max if values.dtype in (np.uint8, np.uint16) else 1
-        return torch.from_numpy((values / white).astype(np.float32))[None]
+        shares = np.where(is_unknown, np.nan, values / white)
+        return torch.from_numpy(shares.astype(np.float32))[None]
     if values.dtype.itemsize == 1:
         cure = "are they relative? Those have no unit: --set distance.kind=Inverse, or Relative"
         raise ValueError(f"{path}: 8 bits are too few for distances in {unit}: {cure}")
     # rounded once, from double precision
     z = (values.astype(np.float64) * metres_of(unit)).astype(np.float32)
     largest = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else np.inf
-    z[(values == largest) & np.isfinite(largest)] = np.nan
+    z[is_unknown | (values == largest) & np.isfinite(largest)] = np.nan
     distance = torch.from_numpy(z)[None]
     median = checks.too_far(distance)
     if median is not None:
@@ -271,7 +277,9 @@ class _File(NamedTuple):
     values: NDArray[Any]  # HxW or HxWxC, upright
     orientation: int = 1
     profile: bytes = b""
+    has_alpha: bool = True  # if it has as many channels
     is_multiplied: bool = False  # colours by alpha
+    nodata: float | None = None  # number that stands for none, by GDAL
 
 
 def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> _File:
@@ -334,7 +342,8 @@ def _of_pillow(path: Path) -> _File:
     with Image.open(path) as image:  # refuses pictures that would fill the memory
         modes = ("RGB", "RGBA", "L", "LA", "I;16", "I;16B")
         if image.mode not in modes or "transparency" in image.info:
-            raise ValueError(f"expected RGB or grey, without a palette, got {image.mode}")
+            got = "a transparent colour: save it without" if image.mode in modes else image.mode
+            raise ValueError(f"expected RGB or grey, without a palette, got {got}")
         if image.format == "PNG" and (count := getattr(image, "n_frames", 1)) > 1:
             raise ValueError(f"holds {count} pictures: save each in a file of its own")
         is_png = image.format == "PNG" and image.mode in ("RGB", "RGBA", "LA")
@@ -369,8 +378,11 @@ def _of_tiff(path: Path) -> _File:
         values = np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
         turn = int(page.tags.valueof(ExifTags.Base.Orientation, 1))
         profile = bytes(page.tags.valueof(_PROFILE_TAG) or b"")
-        is_multiplied = tifffile.EXTRASAMPLE.ASSOCALPHA in page.extrasamples
-        return _File(_upright(values, turn), turn, profile, is_multiplied)
+        alphas = [tifffile.EXTRASAMPLE.ASSOCALPHA, tifffile.EXTRASAMPLE.UNASSALPHA]
+        alpha = next((extra for extra in page.extrasamples if extra in alphas), None)
+        nodata = str(page.tags.valueof(_NODATA_TAG, "")).strip("\0 ")
+        number = float(nodata) if nodata else None
+        return _File(_upright(values, turn), turn, profile, alpha is not None, alpha == 1, number)
 
 
 def _of_exr(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:

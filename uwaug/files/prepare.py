@@ -7,11 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import torch
 from torch import Tensor
 
 from uwaug._support.threads import one_thread
-from uwaug.distance.doubts import REVERSED, doubts, evidence
+from uwaug.distance.doubts import REVERSED, doubts, evidence, may_be_mm
 from uwaug.distance.sources import Inverse, Metres, Relative
 from uwaug.distance.unknown import NO_RANGE, in_words, of_metres, of_shares
 from uwaug.files.films import frames_of, rigs_of, unjoined
@@ -112,9 +111,9 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
                     placed = source.placed(draw["distance"], lambda left: 1 / left)  # anywhere
                     source.metres(z, image, placed, **rays)
                     # a number that a depth camera may write where it has seen nothing
-                    mask = of_metres(z) & (z < NO_RANGE)
-                    if isinstance(source, Metres) and source.holes == "error" and mask.any():
-                        raise ValueError(in_words(z, mask))
+                    alone = of_metres(z) & (z < NO_RANGE)
+                    if isinstance(source, Metres) and source.holes == "error" and bool(alone.any()):
+                        raise ValueError(in_words(z, alone))
             except Exception as error:
                 reason = reason_of(error)
                 if not reason.startswith(str(item.distance)):
@@ -134,19 +133,9 @@ def _doubts(recipe: Recipe, samples: Sequence[_Sample]) -> list[str]:
     cure = "they get what --holes says" if has_holes else ""
     sentences += [in_words(z, mask, cure) for z in maps if (mask := of_shares(z)).any()][:1]
     disparities = sum(clue.convexity < REVERSED for clue in clues)
-    if 2 * sum(map(_may_be_mm, maps)) <= len(maps) or 2 * disparities > len(maps):
+    if 2 * sum(map(may_be_mm, maps)) <= len(maps) or 2 * disparities > len(maps):
         return sentences
     return [
         "relative or inverse maps hold whole numbers of less than a tenth of what 16 bits do, as "
         "those in mm: leave out distance.kind and give --unit mm (Metres(), divide by 1000)"
     ]
-
-
-def _may_be_mm(shares: Tensor) -> bool:
-    """True if a map that was read without unit holds whole numbers in less than a tenth of 0…1."""
-    numbers = 65535 * shares[shares > 0]
-    sample = numbers[:: max(1, numbers.numel() // 4096)].sort().values
-    margin, rounded = sample.numel() // 100, sample.round()
-    is_narrow = sample.numel() >= 64 and float(sample[-1 - margin] - sample[margin]) < 6554
-    has_numbers = len(set(rounded.tolist())) > 16
-    return is_narrow and has_numbers and torch.allclose(sample, rounded, 0, 0.01)

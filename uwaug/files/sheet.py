@@ -17,16 +17,13 @@ if TYPE_CHECKING:
     from uwaug.files.run import Work
 
 _MAX_PICTURES, _MAX_VARIANTS = 12, 5  # pictures, spread over a run, and variants of each
-_MAX_COLUMNS = 6  # pictures side by side, before and after
-_SIZE_PX = 240, 180  # of a picture
+_MAX_COLUMNS, _SIZE_PX = 6, (240, 180)  # pictures side by side, before and after; size of each
 
 
 def drawn_sheet(
     results: Sequence[Result], work: "Work", labels: Labels | None, beside: Sequence[Path]
 ) -> bytes:
-    """A JPEG of pictures, their variants to the right, with boxes of labels; then of photographs to
-    compare.
-    """
+    """A JPEG of pictures, each before its variants and their boxes; then of photographs beside."""
 
     def before(file: Path, words: str = "") -> Cell:
         return read_picture(file, background="white"), f"{file.name}\n{words}"

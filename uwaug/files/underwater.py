@@ -97,10 +97,9 @@ def degrade(
     if labels is None:
         return summary
     unlabelled = [item.name for item in items if item.name not in labels.of]
+    got = f"belong to {len(items) - len(unlabelled)} of {len(items)} pictures"
     rest = f", not to {unlabelled[0]}" if unlabelled else ""
-    count = len(items) - len(unlabelled)
-    note = f"labels, {labels.reads}, belong to {count} of {len(items)} pictures{rest}"
-    return replace(summary, notes=[note, *summary.notes])
+    return replace(summary, notes=[f"labels, {labels.reads}, {got}{rest}", *summary.notes])
 
 
 def _one(work: Work, job: Job, resume: bool, force: bool) -> Summary:

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
+from uwaug._support.atomic import read_text
 from uwaug.files.labels import Folder, Key, require_size
-from uwaug.files.paths import split_of
+from uwaug.files.paths import normal, split_of
 
 if TYPE_CHECKING:
-    from uwaug.files.pixels import Pixels, Size
+    from uwaug._support.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
 _LISTS = "ImageSets/Main"  # folder of the lists of each split, of names without an end
@@ -30,7 +31,7 @@ class Voc(Folder):
         _read(file)
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
-        from uwaug.files.pixels import of_box
+        from uwaug._support.pixels import of_box
 
         file = self.of[name]
         root = _read(file)
@@ -65,7 +66,7 @@ class Voc(Folder):
         for picture in pictures:
             above, place = self.parted(splitext(picture.place)[0])
             _, name = self.parted(splitext(picture.item.name)[0])
-            trees.setdefault(above, defaultdict(list))[name].append(place)
+            trees.setdefault(above, defaultdict(list))[normal(name)].append(place)
             if any(not judged.kept for judged in picture.objects):
                 entries = _read(self.of[picture.item.name]).findall("object")
                 kept = [entries[int(j.key) - 1].findtext("name") for j in picture.objects if j.kept]
@@ -75,13 +76,13 @@ class Voc(Folder):
         for tree, places in trees.items():
             folders = (folder / tree / _LISTS for folder in (self.path, self.path.parent))
             files = [file for folder in folders for file in sorted(folder.glob("*.txt"))]
-            texts = {file.name: file.read_text(encoding="utf-8-sig") for file in files}
+            texts = {file.name: read_text(file) for file in files}
             lists = {name: text.splitlines() for name, text in texts.items()}
             for name in places if not lists else ():
                 split = split_of(name.split("/")[:-1]) or "train"
                 lists.setdefault(f"{split}.txt", []).append(name)
             for list_name, lines in lists.items():
-                pairs = [_parted(line.strip(), places) for line in lines]
+                pairs = [_parted(normal(line.strip()), places) for line in lines]
                 class_name = list_name.rpartition("_")[0]
                 text = "".join(
                     f"{place}{' -1' if sign and (place, class_name) in lost else sign}\n"

@@ -7,12 +7,13 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from uwaug._support.atomic import read_text
 from uwaug.files.labels import Entry, Folder, Key, Labels
 from uwaug.files.paths import PICTURES, Files, matched, normal, parts_of, split_of
 
 if TYPE_CHECKING:
+    from uwaug._support.pixels import Pixels, Size
     from uwaug.files.items import Item
-    from uwaug.files.pixels import Pixels, Size
     from uwaug.files.summary import Result
 
 _CLASS_FILES = ("classes.txt", "obj.names", "_darknet.labels")  # with a class in each line
@@ -47,7 +48,8 @@ class Yolo(Folder):
         try:
             _first(file)
         except ValueError as error:
-            raise ValueError(f"{file}: {error}") from None
+            others = "DOTA, KITTI, MOT and VisDrone are written otherwise: convert them"
+            raise ValueError(f"{file}: {error}: expected class cx cy w h; {others}") from None
 
     def described(self, samples: Sequence[Path]) -> Self:
         """The labels with the content of data.yaml, beside them or above, or of another .yaml with
@@ -78,7 +80,7 @@ class Yolo(Folder):
         return replace(self, description=classes, told=_told(source, classes, lists))
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
-        from uwaug.files.pixels import of_box, of_polygons
+        from uwaug._support.pixels import of_box, of_polygons
 
         file = self.of[name]
         for number, line in enumerate(_lines(file), 1):
@@ -207,8 +209,7 @@ class Yolo(Folder):
 def _dry_val(root: Path, description: Entry) -> list[str]:
     """Absolute paths of all that a description names as val; none if any of it is not there."""
     stated, folders = description.get("val") or [], (root / str(description.get("path", "")), root)
-    places = map(str, [stated] if isinstance(stated, str) else stated)
-    # Roboflow's ../valid lies beside data.yaml
+    places = map(str, [stated] if isinstance(stated, str) else stated)  # Roboflow's begin with ../
     tried = [[f / end for f in folders for end in (p, p.removeprefix("../"))] for p in places]
     paths = [next((os.path.abspath(p) for p in each if p.exists()), "") for each in tried]
     return paths if all(paths) else []
@@ -223,8 +224,7 @@ def _told(source: Path | None, classes: Entry, lists: Mapping[Path, list[str]]) 
 
 
 def _first(file: Path) -> list[float]:
-    words = file.read_text(encoding="utf-8-sig").strip().partition("\n")[0].split()
-    return [float(word) for word in words]
+    return [float(word) for word in read_text(file).strip().partition("\n")[0].split()]
 
 
 def _read(file: Path) -> Entry:
@@ -243,6 +243,4 @@ def _read(file: Path) -> Entry:
 
 
 def _lines(file: Path) -> list[str]:
-    data = file.read_bytes()  # PowerShell writes lists in UTF-16
-    is_utf16 = data.startswith((b"\xff\xfe", b"\xfe\xff"))
-    return data.decode("utf-16" if is_utf16 else "utf-8-sig").splitlines()
+    return read_text(file).splitlines()

@@ -38,7 +38,8 @@ def require_values(
         return 0.0, 1.0
     low, high = checks.finite(name, image)
     if color_space == "srgb" and high > _MAX_SRGB:
-        raise ValueError(f"{name} reaches {high:g}: expected 0…1; divide a 0…255 image by 255")
+        cure = "divide a 0…255 image by 255; of light with highlights (HDR), clamp(0, 1)"
+        raise ValueError(f"{name} reaches {high:g}: expected 0…1; {cure}")
     if color_space == "srgb" and low < _MIN_SRGB:
         raise ValueError(f"{name} falls to {low:g}: expected 0…1; place it before Normalize")
     return low, high
@@ -172,15 +173,25 @@ def _piecewise(kernel: _Kernel, *inputs: Tensor) -> Tensor:
 class _Curve(torch.autograd.Function):
     """A curve whose slope is a function of its input."""
 
+    generate_vmap_rule = True  # for torch.func
+
     @staticmethod
-    def forward(ctx: Any, x: Tensor, value: _Kernel, slope: _Kernel) -> Tensor:
-        ctx.save_for_backward(x)
-        ctx.slope = slope
+    def forward(x: Tensor, value: _Kernel, slope: _Kernel) -> Tensor:
         return _piecewise(value, x)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, _Kernel, _Kernel], output: Tensor) -> None:
+        x, _, ctx.slope = inputs
+        ctx.save_for_backward(x)
+        ctx.save_for_forward(x)
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
         return _piecewise(ctx.slope, *ctx.saved_tensors, grad), None, None
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor, *_: None) -> Tensor:
+        return _piecewise(ctx.slope, *ctx.saved_tensors, tangent)
 
 
 def _apply(x: Tensor, traced: _Kernel, value: _Kernel, slope: _Kernel) -> Tensor:

@@ -85,7 +85,8 @@ class Development:
             c·k/(p + k). Light above white goes on along the slope there.
         metered: True for a gain of each picture, 1/8…64, below the exposure's stops. It keeps the
             mean luminance of the scene; with stops above 0 the brightest channel of all but 2 % of
-            the pixels stays at or below white. None: only if exposure is "auto".
+            the pixels stays at or below white, before white balance and saturation. None: only if
+            exposure is "auto".
         noise: the sensor, see `uwaug.Sensor`; None for light without noise.
 
     Numbers may be tensors (B), as those of `stack`.
@@ -155,18 +156,32 @@ class Development:
         if not self.measures:
             return self
         means, share = metered(J, z, medium, T), self.white_balance
-        exposure = self.exposure
+        exposure, (_, saturation) = self.exposure, self._linear(means, J)
         if self.metered:
             exposure = math.log2(float(_automatic(means, float(exposure))))
         if not isinstance(share, tuple):
             red, green, blue = _balance(means.positive, max(float(share), 0.0))[0].tolist()
             share = (red, green, blue)
-        return replace(self, exposure=exposure, white_balance=share, metered=False)
+        settled: dict[str, Any] = {"exposure": exposure, "white_balance": share}
+        return replace(self, **settled, saturation=float(saturation), metered=False)
 
     def gain_of(self, means: "Means | None", like: Tensor) -> Tensor:
         """The `gain` for what `metered` has measured, of the type of `like`."""
-        saturation = _of_rows(self.saturation, 2)
-        stops = _of_rows(self.exposure, 2)
+        gain, saturation = self._linear(means, like)
+        if isinstance(saturation, float):
+            if saturation == 1:
+                return gain
+        else:
+            saturation = saturation[..., None]
+        unit = torch.eye(3, dtype=gain.dtype, device=gain.device)
+        grey = gain.new_tensor(LUMINANCE).expand(3, 3)
+        return (grey + saturation * (unit - grey)) * gain[:, None]
+
+    def _linear(self, means: "Means | None", like: Tensor) -> tuple[Tensor, float | Tensor]:
+        """Gain of exposure and white balance (B or 1, 1 or 3), and saturation: one, or (B, 1)."""
+        stops, saturation, gamut = (
+            _of_rows(number, 2) for number in (self.exposure, self.saturation, self.gamut)
+        )
         if means is not None and self.metered:
             gain = _automatic(means, stops)
         else:
@@ -175,19 +190,10 @@ class Development:
             gain = gain * like.new_tensor(self.white_balance)
         elif means is not None and _balances(self.white_balance):
             gain = gain * _balance(means.positive, _of_rows(self.white_balance, 2))
-        gamut = _of_rows(self.gamut, 2)
-        if means is not None and self.metered and (isinstance(gamut, Tensor) or gamut > 0):
-            held = _held(saturation, means.positive * gain)
-            saturation = (
-                held if isinstance(gamut, float) else torch.where(gamut > 0, held, saturation)
-            )
-        if isinstance(saturation, float) and saturation == 1:
-            return gain
-        if isinstance(saturation, Tensor):
-            saturation = saturation[..., None]
-        unit = torch.eye(3, dtype=gain.dtype, device=gain.device)
-        grey = gain.new_tensor(LUMINANCE).expand(3, 3)
-        return (grey + saturation * (unit - grey)) * gain[:, None]
+        if means is None or not self.metered or (isinstance(gamut, float) and gamut == 0):
+            return gain, saturation
+        held = _held(saturation, means.positive * gain)
+        return gain, held if isinstance(gamut, float) else torch.where(gamut > 0, held, saturation)
 
     def shaped(self, light: Tensor) -> Tensor:
         """Light (Bx3xHxW) after gamut and tone."""

@@ -5,7 +5,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from uwaug._support.atomic import require_regular
+from uwaug._support.atomic import read_text
 from uwaug.optics.camera import Camera
 from uwaug.optics.water import Water
 from uwaug.presets.files import preset_path
@@ -56,10 +56,10 @@ def load_preset(
 
 def read_tables(path: Path) -> dict[str, Any]:
     """Read the options of `RandomUnderwater` in a TOML file; those of water become a table."""
-    require_regular(path)
+    text = read_text(path)
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        tables = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: not a TOML file: {error}") from error
     water = tables.get("water", {})
     if not isinstance(water, dict):

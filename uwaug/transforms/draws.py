@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from uwaug._support import checks
 from uwaug._support.nouns import SEEDS, Drawn, Noun, Uniform, require_names
+from uwaug.formation.development import DOMAINS
 
 Record = dict[str, Any]
 """A plain dictionary, {"samples": […]} with one for each picture, as JSON holds it."""
@@ -71,7 +72,7 @@ def read_draws(record: Any, count: int, nouns: Mapping[str, Noun]) -> list[Draw]
 
 def _require_measured(measured: Any) -> None:
     """Refuse what cannot have been measured of a film."""
-    names = {"median", "exposure", "white_balance"}
+    names = {"median", "exposure", "white_balance", "saturation"}
     require_names(measured, names if measured else set(), "measured")
     if not measured:
         return
@@ -79,6 +80,7 @@ def _require_measured(measured: Any) -> None:
     if not (isinstance(median, (int, float)) and median > 0):  # infinite in open water
         raise ValueError(f"params: measured.median must be above 0 m, got {median!r:.80}")
     checks.within("params: measured.exposure", measured["exposure"], -math.inf)
+    checks.within("params: measured.saturation", measured["saturation"], *DOMAINS["saturation"])
     balance = measured["white_balance"]
     if balance is not None:
         checks.vector("params: measured.white_balance", balance)

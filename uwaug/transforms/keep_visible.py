@@ -1,7 +1,6 @@
 """`KeepVisible`: targets of a detector that name only what can still be seen."""
 
 import copy
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
@@ -12,6 +11,7 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
+from uwaug._support.pixels import of_box, of_polygons
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import SampleTransform, pictures_of, replaced, typed
 
@@ -34,10 +34,10 @@ class KeepVisible(SampleTransform):
     Inputs:
         As for `augment`, one picture at a time. One dict holds the objects: the sample itself, or a
         dict directly in it, such as torchvision's target. It has "boxes" (Nx4) or "masks" (NxHxW)
-        or both. Plain boxes are corners (x1, y1, x2, y2) in px; torchvision's `BoundingBoxes` say
-        what they are. The same structure comes back, with the rows of the objects that are left in
-        a copy of that dict. "contrast" (N, float32) is new; it is 0 of objects with no pixel in the
-        picture.
+        or both. Plain boxes are corners (x1, y1, x2, y2) in px, all four (Nx8) of boxes that are
+        turned; torchvision's `BoundingBoxes` say what they are. The same structure comes back, with
+        the rows of the objects that are left in a copy of that dict. "contrast" (N, float32) is
+        new; it is 0 of objects with no pixel in the picture.
 
     Raises:
         TypeError, ValueError: as `augment`; if there is no such dict, or more than one; if an entry
@@ -129,6 +129,14 @@ def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
             raise ValueError(f"target['masks'] must be {expected}, got {tuple(masks.shape)}")
         return (masks * contrast_map).sum((-2, -1)) / masks.sum((-2, -1)).clamp(min=1)
     boxes = target["boxes"]
+    if np.ndim(boxes) > 1 and np.shape(boxes)[-1] not in (0, 4, 8):
+        got = f"got {tuple(np.shape(boxes))}: of rotated boxes give corners (N, 8), or 'masks'"
+        raise ValueError(f"target['boxes'] must be (N, 4), {got}")
+    size: tuple[int, int] = (contrast_map.shape[0], contrast_map.shape[1])
+    if np.shape(boxes)[1:] == (8,):
+        polygons = typed(torch.as_tensor(boxes), Tensor).tolist()
+        parts = [contrast_map[of_polygons([polygon], size)] for polygon in polygons]
+        return torch.tensor([float(part.mean()) if part.numel() else 0.0 for part in parts])
     if hasattr(boxes, "format"):  # torchvision's
         from torchvision.transforms.v2.functional import convert_bounding_box_format
 
@@ -144,12 +152,9 @@ def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
 
 def means_over(boxes: Iterable[Sequence[float]], contrast_map: Tensor) -> Tensor:
     """Mean of a map (HxW) over each box (x1, y1, x2, y2, px); 0 for one without pixels."""
-    means = []
+    means, size = [], (contrast_map.shape[0], contrast_map.shape[1])
     for x1, y1, x2, y2 in boxes:
-        # all pixels that the box touches
-        rows = slice(max(0, math.floor(y1)), max(0, math.ceil(y2)))
-        columns = slice(max(0, math.floor(x1)), max(0, math.ceil(x2)))
-        part = contrast_map[rows, columns]
+        part = contrast_map[of_box(x1, y1, x2, y2, size)]
         means.append(float(part.mean()) if part.numel() and x1 < x2 and y1 < y2 else 0.0)
     return torch.tensor(means)
 

@@ -24,6 +24,7 @@ class Measured(NamedTuple):
         metered: True if an exposure makes up for the light that is lost above the scene.
         exposure: stops that a meter has settled for all frames of a film; None: to be metered.
         white_balance: factors of red, green and blue, likewise.
+        saturation: likewise.
         moved: m by which the water of a film has moved to the right, down and away.
     """
 
@@ -36,6 +37,7 @@ class Measured(NamedTuple):
     metered: bool = False
     exposure: float | None = None
     white_balance: tuple[float, float, float] | None = None
+    saturation: float | None = None
     moved: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def of_film(self, settled: Mapping[str, Any], moved: tuple[float, float, float]) -> "Measured":

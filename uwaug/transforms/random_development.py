@@ -64,4 +64,6 @@ class RandomDevelopment(Noun):
             options |= {"exposure": measured.exposure, "metered": False}
         if measured.white_balance is not None:
             options["white_balance"] = measured.white_balance
+        if measured.saturation is not None:
+            options["saturation"] = measured.saturation
         return Development(**options)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from uwaug._support import checks, codec
 from uwaug._support.nouns import Fixed, Uniform
-from uwaug._support.ranges import Range
+from uwaug._support.ranges import Range, ends_of
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.underwater import Underwater
@@ -111,8 +111,9 @@ class RandomUnderwater(SampleTransform):
         keys: tuple[str, str] = ("image", "distance"),
     ) -> None:
         self.water = water if isinstance(water, RandomWater) else RandomWater(water)
-        if isinstance(distance, (int, float, tuple, list)):
-            distance = Plane(tuple(distance) if isinstance(distance, list) else distance)
+        distance = ends_of(distance) or distance
+        if isinstance(distance, (int, float, tuple)):
+            distance = Plane(distance)
         self.distance = Metres() if distance is None else distance
         cure = "Metres, Relative, Inverse, MadeUp, Network(…) or Plane of uwaug.distance"
         checks.instance("distance", self.distance, Source, f"; give {cure}")
@@ -148,12 +149,12 @@ class RandomUnderwater(SampleTransform):
             water, options: as for the class.
 
         Raises:
-            ValueError: if there is no such level.
+            ValueError: if there is no such level, or the water has a visibility.
         """
         if level not in SEVERITIES:
             raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
         noun = water if isinstance(water, RandomWater) else RandomWater(water)
-        return cls(replace(noun, visibility=None, contrast=SEVERITIES[level]), **options)
+        return cls(replace(noun, contrast=SEVERITIES[level]), **options)
 
     def module(
         self,

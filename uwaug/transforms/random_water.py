@@ -59,7 +59,7 @@ PLACED_M = 2.0
 # severest grade at 1 m
 MOST_CONTENTS = 50.0
 _LEAST_CONTENTS = 1e-3  # share of it that stays where pure water is too murky already
-_MOST_STOPS, _HALVINGS = 12.0, 16  # of contents that are looked for under lamps
+_MOST_STOPS, _HALVINGS = 12.0, 13  # of contents that are looked for under lamps
 _WALL_PX = (12, 16)  # of a wall at the median distance, under lamps
 
 _CALIBRATED = PointSpread.calibrated()
@@ -80,14 +80,16 @@ class Clarity(NamedTuple):
         """All but the water as JSON holds it, and the visibility, m."""
         visibility = metres_for(self.water, CONTRAST_THRESHOLD)
         names = ("metres", "contents", "asked")
-        return {"visibility": visibility, **{name: getattr(self, name) for name in names}}
+        numbers = {"visibility": visibility, **{name: getattr(self, name) for name in names}}
+        return {name: None if value == math.inf else value for name, value in numbers.items()}
 
     @property
     def odd(self) -> str:
         """A sentence if the water is hardly the one named, or too murky when pure; else ""."""
         if self.contents > MOST_CONTENTS:
             times = f"{self.contents:.3g} times what is in it"
-            return f"that takes {times}, which is hardly that water: name a more turbid one"
+            named = "name a more turbid one, if distances are metres"
+            return f"that takes {times}, which is hardly that water: {named}"
         if self.contents == 0:
             asked = f"a contrast of {self.asked:.2g}" if self.asked else "the visibility"
             return f"pure water has less than {asked} at {self.metres:.3g} m: are distances metres?"
@@ -285,8 +287,10 @@ class RandomWater(Noun):
         medium_of = partial(self._medium_of, draw=draw, metered=measured.metered, lamps=has_lamps)
         contents, asked = 1.0, draw.get("contrast")
         if asked is not None and math.isfinite(measured.median):
-            if has_lamps or isinstance(water, Medium):
+            if has_lamps:
                 contents = _contents_under(light, water, medium_of, asked, measured, view)
+            elif isinstance(water, Medium):
+                contents = metres_for(water, asked) / measured.median
             else:
                 contents = _contents(water, asked, measured.median)
             water = water.with_contents(contents)

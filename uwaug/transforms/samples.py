@@ -34,6 +34,10 @@ def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool)
     second place of a tuple, a dict may hold the map. Without `reads_maps` none has to be there.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
+    if "torchvision.tv_tensors" in sys.modules and (others := [*_images(sample, "sample")][1:]):
+        cure = "one record degrades both: transform(image, distance, make_params(image))"
+        got = f"{others[0]} is a second picture, which would stay dry"
+        raise ValueError(f"{got}: {cure}; or give it as a plain tensor")
     if isinstance(sample, Mapping):
         image = _leaf(sample, keys[0], "sample")
         distance = _leaf(sample, keys[1], "sample") if reads_maps else sample.get(keys[1])
@@ -49,6 +53,17 @@ def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool)
     elif not reads_maps and not _is_map(distance, sample[0]):
         distance = None
     return Parts(sample[0], distance, partial(replaced, sample, 0))
+
+
+def _images(value: Any, name: str) -> Iterator[str]:
+    """Names of the torchvision `Image`s and `Video`s in a sample."""
+    tensors = sys.modules["torchvision.tv_tensors"]
+    if isinstance(value, (tensors.Image, tensors.Video)):
+        yield name
+    elif isinstance(value, (Mapping, tuple, list)):
+        members = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for place, member in members:
+            yield from _images(member, f"{name}[{place!r}]")
 
 
 def _is_map(value: Any, image: Any) -> bool:

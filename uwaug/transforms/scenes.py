@@ -102,8 +102,8 @@ class Scenes(NamedTuple):
             return truth_of(J, *maps, scene.setting, scene.vertical_depth)
 
     def settled(self) -> dict[str, Any]:
-        """Median distance, exposure and white balance of this one picture, for all frames of its
-        film, see `Measured.of_film`.
+        """Median distance, exposure, white balance and saturation of this one picture, for all
+        frames of its film, see `Measured.of_film`.
         """
         ((setting, *_),) = self.scenes
         medium = setting.medium.to(self.z)
@@ -115,6 +115,7 @@ class Scenes(NamedTuple):
             "median": setting.span[1],
             "exposure": development.exposure,
             "white_balance": balance if isinstance(balance, tuple) else None,
+            "saturation": development.saturation,
         }
 
 
@@ -143,7 +144,10 @@ def scenes_of(
         # scenes without a size are placed in their water
         waters = [] if source.has_size else [water.water(d.water, PLACED_M) for d in applied]
         placed = [
+            # the veil grows on behind the far end, which would show the rim of open water; but it
+            # must be endless where the water may still become clearer
             source.placed(draw.distance, partial(metres_for, of_it))
+            | {"hides": "contrast" not in draw.water}
             for draw, (of_it, _) in zip(applied, waters, strict=False)
         ]
         metres = _metres_of(source, pictures, maps, draws, placed, space, view)
