@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from uwaug import RandomUnderwater, RandomWater
+from uwaug import KeepVisible, RandomUnderwater, RandomWater
 from uwaug.distance import Plane
 
 A = pytest.importorskip("albumentations")
@@ -90,6 +90,46 @@ def test_labels_are_left_alone() -> None:
     )
     assert np.array_equal(result["mask"], mask)
     assert np.allclose(result["bboxes"], [[1, 2, 20, 15]])
+
+
+def test_boxes_that_water_hides_go() -> None:
+    augment = RandomUnderwater(RandomWater("II", contrast=None))
+    far = np.full((H, W), 40, np.float32)
+    far[:, :16] = 0.5
+    boxes = [[0.0, 0, 16, H], [18, 2, 30, 20], [18, 2, 18.2, 2.2], [1, 1, 9, 9]]
+    params = A.BboxParams("pascal_voc", label_fields=["names"])
+    names = ["near", "far", "sliver", "small"]
+    data = {"image": array(), "mask": MASK, "distance": far, "bboxes": boxes, "names": names}
+    rows = {}
+    for limit in (None, 0.05, 1.0):
+        moves = A.HorizontalFlip(p=1)
+        made = pipeline(moves, water(augment, min_contrast=limit), bbox_params=params)
+        result = made(**data)
+        rows[limit] = dict(zip(result["names"], np.array(result["bboxes"]).tolist(), strict=True))
+    assert [*rows[None]] == names
+    assert [*rows[0.05]] == ["near", "small"]
+    assert rows[0.05]["small"] == pytest.approx([W - 9, 1, W - 1, 9], abs=1e-3)
+    assert rows[1.0] == {}
+    # as torchvision's transform judges them
+    keep = KeepVisible(augment, min_contrast=0.05)
+    target = {"boxes": torch.tensor(boxes)}
+    picture = torch.from_numpy(array()).movedim(-1, 0)
+    *_, target = keep(picture, torch.from_numpy(far)[None], target)
+    assert len(target["boxes"]) == 2
+
+
+def test_boxes_go_where_nothing_else_moves_them_and_the_dry_keep_theirs() -> None:
+    augment = RandomUnderwater(RandomWater("7C", contrast=None), distance=30.0)
+    params = A.BboxParams("yolo", label_fields=["names"])
+    data = {"image": array(), "bboxes": [[0.5, 0.5, 0.4, 0.4]], "names": [3]}
+    made = A.Compose([A.NoOp(), water(augment, 0.5, min_contrast=0.05)], bbox_params=params, seed=0)
+    for _ in range(20):
+        result = made(**data)
+        is_dry = np.array_equal(result["image"], array())
+        assert len(result["bboxes"]) == len(result["names"]) == is_dry
+    read = A.from_dict(json.loads(json.dumps(A.to_dict(made))))
+    assert read.transforms[-1].min_contrast == 0.05
+    assert made(image=array(), bboxes=np.empty((0, 4)), names=[])["names"] == []
 
 
 def test_the_pipeline_seeds_the_draws() -> None:
@@ -190,6 +230,8 @@ def test_several_images_are_a_film() -> None:
         ({"channels": "rgba"}, {}, "channels must be one of rgb, bgr"),
         ({"scale": -0.5}, {}, "scale must be"),
         ({"p": 2}, {}, "p must be in"),
+        ({"min_contrast": 5}, {}, "min_contrast must be in"),
+        ({"min_contrast": 0.1}, {"distance": metres(), "bboxes": [[0, 0, 9, 9]]}, "bbox_params"),
         ({}, {}, "distance is missing, for image: pass a map"),
         ({}, {"distance": metres(), "images": array()[None]}, "distances is missing, for images"),
         (

@@ -110,14 +110,20 @@ def test_the_line_for_ultralytics() -> None:
 
     model = SimpleNamespace(train=lambda data, augmentations: augmentations)
     names = {
+        "A": A,
         "AlbumentationsUnderwater": AlbumentationsUnderwater,
         "MadeUp": uwaug.distance.MadeUp,
         "uwaug": uwaug,
         "model": model,
     }
+    transforms = eval(line_for("Ultralytics"), names)
+    assert any(isinstance(t, A.DualTransform) for t in transforms)  # else no boxes are passed
     # Ultralytics writes the list, and reads it again
-    written = [A.to_dict(t) for t in eval(line_for("Ultralytics"), names)]
-    pipeline = A.Compose([A.from_dict(t) for t in written])
+    written = [A.to_dict(t) for t in transforms]
+    boxes = A.BboxParams("yolo", label_fields=["class_labels"])
+    pipeline = A.Compose([A.from_dict(t) for t in written], bbox_params=boxes)
     pipeline.set_random_seed(0)
-    wet = [not np.array_equal(pipeline(image=PICTURE)["image"], PICTURE) for _ in range(8)]
+    data = {"bboxes": np.array([[0.5, 0.5, 0.9, 0.9]]), "class_labels": np.array([[1.0]])}
+    wet = [not np.array_equal(pipeline(image=PICTURE, **data)["image"], PICTURE) for _ in range(8)]
     assert 0 < sum(wet) < 8
+    assert pipeline.transforms[-1].min_contrast == 0.05

@@ -1,4 +1,5 @@
 import csv
+import inspect
 import json
 import re
 from dataclasses import replace
@@ -12,6 +13,7 @@ from filing import save
 from PIL import ExifTags, Image
 
 import uwaug
+from uwaug.cli.degrade import degrade
 from uwaug.cli.fit import _jpeg_quality
 from uwaug.distance import MadeUp, Metres, Plane, Relative
 from uwaug.files import Recipe, find_items
@@ -113,6 +115,22 @@ def test_labels_of_pictures_alone(folder, run):
     plain = json.loads(next((folder / "wet").rglob("a.png.json")).read_text())
     assert plain["recipe"]["transform"]["distance"] == {"kind": "MadeUp"}
     assert plain["objects"][0]["contrast"] == pytest.approx(plain["contrast"], abs=1e-3)
+
+
+def test_the_help_of_degrade_groups_its_flags(run):
+    code, out, err = run("degrade", "--help")
+    assert (code, err) == (0, "")
+    _, *boxes = re.split("╭─ (\\w+) ─+╮", out)
+    assert boxes[::2] == ["Arguments", *("Output", "Distance", "Water", "Run", "Films", "Labels")]
+    flags = {
+        title: re.findall(r"^│ [* ]*--([\w-]+)", box, re.MULTILINE)
+        for title, box in zip(boxes[::2], boxes[1::2], strict=True)
+    }
+    assert flags["Labels"] == ["labels", "min-contrast"]
+    assert "focal-px" in flags["Distance"]
+    names = {name.rstrip("_").replace("_", "-") for name in inspect.signature(degrade).parameters}
+    every = [name for group in flags.values() for name in group]
+    assert sorted(every) == sorted(names - {"context", "pictures"} | {"help"})
 
 
 def test_a_record_takes_no_other_options(folder, run):

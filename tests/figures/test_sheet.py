@@ -62,6 +62,21 @@ def test_ends_of_a_span_have_the_first_and_the_last_colour():
     torch.testing.assert_close(picture[:, 0], wanted)
 
 
+def test_boxes_are_a_line_wide_on_the_sheet() -> None:
+    inside = slice(450, 1350), slice(600, 1800)
+    mask = np.zeros((1800, 2400), bool)
+    mask[450, 900] = mask[900, 600] = mask[1349, 901] = mask[1000, 1799] = True
+    for kind, ink in ((torch.float32, 1), (torch.uint8, 255)):
+        pictures = torch.zeros(3, 3, 1800, 2400, dtype=kind)
+        for picture, pixels in zip(pictures, (inside, mask, mask & False), strict=True):
+            sheets.draw_box(picture, pixels, "yellow", (240, 180))
+        assert torch.equal(pictures[0], pictures[1])
+        assert not pictures[2].any()
+        expected = [(600, 0), (10, ink), (1180, 0), (10, ink), (600, 0)]
+        line = torch.cat([torch.full((count,), value, dtype=kind) for count, value in expected])
+        assert torch.equal(pictures[0][:, 900], torch.stack([line, line, 0 * line]))
+
+
 def test_a_sheet_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     path = tmp_path / "2-terms.jpg"
     path.write_text("old")

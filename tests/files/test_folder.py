@@ -50,7 +50,7 @@ def test_a_manifest_says_who_with_what_and_which_files() -> None:
     degrade(RECIPE, items(), "out", sheet=True)
     manifest = manifest_of(Path("out"))
     assert manifest is not None
-    lists = {"index.csv", "sheet.jpg", "train.txt", "val.txt", "data.yaml"}
+    lists = {"index.csv", "sheet.jpg", "train.txt", "data.yaml"}
     assert {*manifest["files"], *manifest["lists"]} == content("out").keys()
     assert {*manifest["lists"]} == lists
     assert manifest["recipe"] == read_record(Path("out/images/0.png.json"))["recipe"]
@@ -155,7 +155,7 @@ def test_force_removes_what_a_run_has_written_and_nothing_else() -> None:
     assert [result.status for result in summary.results] == ["failed", "written"]
     assert content("out").keys() == {
         *("images/2.png", "images/2.png.json", "labels/2.txt", "notes.txt"),
-        *("index.csv", "data.yaml", "train.txt", "val.txt"),
+        *("index.csv", "data.yaml", "train.txt"),
     }
     assert "out/data.yaml stays, as it was edited" in summary.notes[-1]
     assert Path("out/data.yaml").read_text() == "names: [crab]\n"

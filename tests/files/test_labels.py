@@ -430,6 +430,7 @@ def test_trainers_find_labels(tmp_path: Path, name: str, label: str, place: str)
 
 
 CRABS = ["fish", "crab: red"]
+NO_VAL = "data.yaml has no val: add dry pictures to validate on, as val: /ds/images/val"
 KEPT = """\
 # some of COCO
 path: ../datasets/reef  # root
@@ -453,7 +454,7 @@ DESCRIBED: dict[str, tuple[dict[str, str], dict[str, Any], str]] = {
     "all but places": (
         {"data.yaml": KEPT},
         {"names": dict(enumerate(CRABS)), "kpt_shape": [1, 3]},
-        "no picture is of the split val: val.txt lists those of train",
+        NO_VAL,
     ),
     "one line": ({"data.yaml": f"{{train: a, names: {CRABS}, nc: 2}}"}, {"nc": 2}, ""),
     "rows": ({"data.yaml": ROWS}, {"nc": 2}, ""),
@@ -496,7 +497,7 @@ def test_classes_and_what_else_is_said_of_a_data_set(tmp_path: Path, case: str) 
     names, notes = [f"{number}.png" for number in (1, 2)], []
     (one,), _ = labelled(folder / "labels", names, tmp_path / "out", notes=notes)
     assert one.contrast == 0.9
-    expected = {"train": "train.txt", "val": "val.txt", "names": CRABS, **said}
+    expected = {"train": "train.txt", "names": CRABS, **said}
     found = yaml.safe_load((tmp_path / "out/data.yaml").read_text())
     assert found == {name: value for name, value in expected.items() if value is not None}
     if told:
@@ -526,7 +527,7 @@ def test_two_descriptions_are_one_too_many(tmp_path: Path) -> None:
     opened(tmp_path / "labels", "1.png")
 
 
-EMPTY = "no picture is of the split {0}: {0}.txt lists {1}"
+EMPTY = "no picture is of the split {0}: {0}.txt lists nothing"
 PLACES = "train: [../reef/images, wreck\\images]\nval: ./harbour/images/\ntest: empty\n"
 SPLITS: dict[str, tuple[str, dict[str, str], list[str]]] = {
     # data.yaml, the split of each picture, what is told
@@ -542,8 +543,8 @@ SPLITS: dict[str, tuple[str, dict[str, str], list[str]]] = {
         name: ("", {"train/1.png": "train", "val/3.png": "val", f"{name}/2.png": "test"}, [])
         for name in ("Test", "test_set", "testing", "TEST_DATA")
     },
-    "no val": ("", {"train/1.png": "train"}, [EMPTY.format("val", "those of train")]),
-    "no train": ("", {"val/1.png": "val"}, [EMPTY.format("train", "nothing")]),
+    "no val": ("", {"train/1.png": "train"}, [NO_VAL]),
+    "no train": ("", {"val/1.png": "val"}, [EMPTY.format("train")]),
     "described": (
         PLACES,
         {
@@ -552,7 +553,7 @@ SPLITS: dict[str, tuple[str, dict[str, str], list[str]]] = {
         },
         [
             "1 pictures are of no split, and in no list, such as ./other/images/train/1.png",
-            EMPTY.format("test", "nothing"),
+            EMPTY.format("test"),
         ],
     ),
     "described, below folders called so, too": (
@@ -588,8 +589,43 @@ def test_splits(tmp_path: Path, case: str) -> None:
     for split in {*pictures.values()} - {""}:
         listed = [f"./{places[name]}" for name, own in pictures.items() if own == split]
         assert (tmp_path / f"out/{split}.txt").read_text().splitlines() == listed
-    if EMPTY.format("test", "nothing") in notes:
+    if EMPTY.format("test") in notes:
         assert (tmp_path / "out/test.txt").read_text() == ""
+
+
+DRY: dict[str, tuple[str, list[str]]] = {
+    # what data.yaml says; the dry pictures to validate on, below its folder
+    "a folder": ("val: images/val", ["images/val"]),
+    "an absolute one": ("val: {ds}/images/val", ["images/val"]),
+    "below a path": ("path: images\nval: val", ["images/val"]),
+    "below a path of another machine": ("path: /content/ds\nval: images/val", ["images/val"]),
+    "as Roboflow's": ("val: ../valid/images", ["valid/images"]),
+    "a list": ("val: lists/val.txt", ["lists/val.txt"]),
+    "two": ("val: [images/val, valid/images]", ["images/val", "valid/images"]),
+    "one of two": ("val: [images/val, elsewhere]", []),
+    "elsewhere": ("val: /content/ds/images/val", []),
+    "none": ("path: images", []),
+}
+
+
+@pytest.mark.parametrize("case", DRY)
+def test_what_one_validates_on_stays_dry(tmp_path: Path, case: str) -> None:
+    text, places = DRY[case]
+    ds = tmp_path / "ds"
+    for name in ("images/val/2.png", "valid/images/2.png", "images/train/1.png"):
+        save(ds / name, pixels())
+    write(ds / "lists/val.txt", "../images/val/2.png\n")
+    write(ds / "labels/train/1.txt", ALL)
+    write(ds / "data.yaml", f"train: images/train\n{text.format(ds=ds)}\nnames: [fish]\n")
+    labels = open_labels(ds / "labels/train", [Item("1.png", ds / "images/train/1.png")])
+    (tmp_path / "wet").mkdir()
+    picture = done(ds / "images/train/1.png", "1.png", labels.place("1.png"))
+    *_, told = finish(labels, [picture], tmp_path / "wet")
+    found = yaml.safe_load((tmp_path / "wet/data.yaml").read_text())
+    assert not (tmp_path / "wet/val.txt").exists()
+    dry = [str(ds / place) for place in places]
+    assert found.get("val", []) == dry
+    assert told == (f"val is dry: {', '.join(dry)}" if dry else NO_VAL)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -295,6 +296,69 @@ def test_a_sheet() -> None:
     write_record(Path("other.png.json"), record)
     work = _Underwater(RECIPE, Path("out"))
     assert work.caption(Path("other.png")) == "2.3 m, contrast 0.40\n7C + chlorophyll=18,cdom=1.5"
+
+
+BOX = "<bndbox><xmin>{}</xmin><ymin>{}</ymin><xmax>{}</xmax><ymax>{}</ymax></bndbox>"
+BOXES = [(24, 18, 120, 54), (24, 120, 216, 162)]  # near, above; far, below: x1, y1, x2, y2
+FAR = np.repeat(np.linspace(0.2, 30, 180), 240).reshape(180, 240)
+
+
+def boxes_as(kind: str) -> None:
+    """Labels of a picture of 240×180 px, in a format."""
+    Path("labels").mkdir()
+    text = ""
+    annotations, values = [], np.zeros((180, 240), np.uint8)
+    for number, (x1, y1, x2, y2) in enumerate(BOXES, 1):
+        values[y1:y2, x1:x2] = number
+        center, size = ((x1 + x2) / 480, (y1 + y2) / 360), ((x2 - x1) / 240, (y2 - y1) / 180)
+        if kind == "yolo":
+            text += f"0 {center[0]} {center[1]} {size[0]} {size[1]}\n"
+        else:
+            text += f"<object><name>a</name>{BOX.format(x1 + 1, y1 + 1, x2, y2)}</object>"
+        box = {"id": number, "image_id": 1, "bbox": [x1, y1, x2 - x1, y2 - y1]}
+        annotations.append({**box, "category_id": 1})
+    if kind == "yolo":
+        Path("labels/a.txt").write_text(text)
+    elif kind == "voc":
+        Path("labels/a.xml").write_text(f"<annotation>{text}</annotation>")
+    elif kind == "coco":
+        images = [{"id": 1, "file_name": "a.png"}]
+        content = {"images": images, "annotations": annotations}
+        Path("labels/a.json").write_text(json.dumps(content))
+    else:
+        save("labels/a.png", values)
+
+
+@pytest.mark.parametrize("kind", ["yolo", "coco", "voc", "masks"])
+def test_a_sheet_shows_kept_and_dropped_boxes(kind: str) -> None:
+    boxes_as(kind)
+    save("dark/a.png", np.full((180, 240, 3), 30, np.uint8))
+    save("far/a.npy", FAR)
+    labels = "labels/a.json" if kind == "coco" else "labels"
+    recipe = Recipe(WATER, labels=labels, min_contrast=0.05)
+    summary = degrade(recipe, find_items("dark", "far"), "out", sheet=True)
+    assert summary.objects == (2, 1)
+    with Image.open("out/sheet.jpg") as sheet:
+        drawn = np.asarray(sheet, dtype=int)
+    picture = drawn[-12 - 180 : -12, -12 - 240 : -12]  # the second of a row
+    is_red = (picture[..., 0] > 150) & (picture[..., 1] < 90)
+    is_yellow = (picture[..., 0] > 150) & (picture[..., 1] > 150) & (picture[..., 2] < 110)
+    for is_drawn, (x1, y1, x2, y2) in zip((is_yellow, is_red), BOXES, strict=True):
+        rows, columns = is_drawn.nonzero()
+        ends = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+        assert np.abs(np.subtract(ends, (x1, y1, x2, y2))).max() <= 1
+        assert is_drawn[y1 : y2 - 1, x1].mean() > 0.8
+        assert not is_drawn[y1 + 4 : y2 - 4, x1 + 4 : x2 - 4].any()  # a thin line
+    assert drawn[12:30, 12:240].min() < 150  # counts
+    # as many rows of pixels fewer without labels, which have nothing to count
+    degrade(
+        replace(recipe, labels=None, min_contrast=None),
+        find_items("dark", "far"),
+        "bare",
+        sheet=True,
+    )
+    with Image.open("bare/sheet.jpg") as bare:
+        assert bare.height == drawn.shape[0] - 21
 
 
 # Once more

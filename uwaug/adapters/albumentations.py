@@ -11,7 +11,9 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.extras import install
 from uwaug.transforms.draws import Record
+from uwaug.transforms.keep_visible import means_over
 from uwaug.transforms.random_underwater import RandomUnderwater
+from uwaug.transforms.scenes import Scenes
 
 try:
     from albumentations import ImageOnlyTransform
@@ -63,13 +65,15 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
             map as the mask, by "mask". No map is needed where `augment` makes distances.
         scale: metres per unit of a map, such as .001 for mm.
         channels: order of the picture's colours; "bgr" with OpenCV and Ultralytics.
+        min_contrast: contrast below which boxes of `image` go, with their labels, as those of
+            `uwaug.KeepVisible`; None keeps all.
         p: probability, as in all transforms of Albumentations.
 
     Targets:
         image, and others of its kind (`additional_targets`): HxWx3, uint8 (0…255), uint16
         (0…65535) or float32 (0…1); one draw for all, each at its distances. Grey, HxW or HxWx1,
-        comes out in colour. Pictures of `images` are frames of one film. Masks, boxes and keypoints
-        stay as they are.
+        comes out in colour. Pictures of `images` are frames of one film. Masks and keypoints stay
+        as they are.
 
     Random numbers come from the pipeline: `A.Compose(…, seed=…)`. Albumentations 2.0 draws the same
     in all workers of a DataLoader and in all epochs: call
@@ -96,9 +100,11 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         distance_key: str = "distance",
         scale: float = 1.0,
         channels: Literal["rgb", "bgr"] = "rgb",
+        min_contrast: float | None = None,
         p: float = 0.5,
     ) -> None:
         checks.within("p", p, 0.0, 1.0)
+        checks.within("min_contrast", min_contrast or 0.0, 0.0, 1.0)
         super().__init__(p=p)
         if not isinstance(augment, RandomUnderwater):
             augment = RandomUnderwater.from_dict(augment or {})
@@ -108,6 +114,7 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         checks.positive("scale", scale)
         self.augment = augment
         self.distance_key, self.scale, self.channels = distance_key, scale, channels
+        self.min_contrast = min_contrast
         self._moved = set(_MASKS)
 
     def add_targets(self, additional_targets: dict[str, str]) -> None:
@@ -130,7 +137,14 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
                     image = image.repeat(3, -1)
                 if self.augment.distance.reads_maps:
                     distance = self._distance(name, single, kwargs)
-                result[name] = self.apply(image, record, distance)
+                result[name], scenes = self._degraded(image, record, distance)
+                boxes = kwargs.get("bboxes")
+                if name == "image" and self.min_contrast is not None and boxes is not None:
+                    if not self._in_pipeline:
+                        raise ValueError("bboxes are of A.Compose(…, bbox_params=…) alone")
+                    corners = boxes[:, :4] * (2 * image.shape[1::-1])  # from shares
+                    contrast = means_over(corners.tolist(), scenes.contrast_map()[0]).numpy()
+                    result["bboxes"] = boxes[contrast >= self.min_contrast]
         return result
 
     def _distance(self, name: str, single: bool, targets: Mapping[str, Any]) -> Tensor:
@@ -147,9 +161,9 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         values = np.squeeze(targets[key]) * self.scale
         return torch.from_numpy(values.astype(np.float32)).unsqueeze(-3)
 
-    def apply(
-        self, img: NDArray[Any], record: Record, distance: Tensor | None = None, **params: Any
-    ) -> NDArray[Any]:
+    def _degraded(
+        self, img: NDArray[Any], record: Record, distance: Tensor | None
+    ) -> tuple[NDArray[Any], Scenes]:
         """Degrade a picture, or the frames of a film (NxHxWx3)."""
         step = -1 if self.channels == "bgr" else 1
         has_16_bits = img.dtype == np.uint16
@@ -157,14 +171,15 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         image = torch.from_numpy(np.ascontiguousarray(img[..., ::step])).movedim(-1, -3)
         if image.ndim == 4:
             record = self.augment.for_clip(record, image, distance)
-        result = self.augment.transform(image, distance, record).movedim(-3, -1).numpy()
+        scenes = self.augment.scenes(image, distance, record)
+        result = scenes.formed().movedim(-3, -1).numpy()
         if has_16_bits:
             result = np.rint(result.clip(0, 1) * 65535).astype(np.uint16)
-        return np.ascontiguousarray(result[..., ::step])
+        return np.ascontiguousarray(result[..., ::step]), scenes
 
     def get_transform_init_args(self) -> dict[str, Any]:
         """Options by name."""
-        names = ("augment", "distance_key", "scale", "channels")
+        names = ("augment", "distance_key", "scale", "channels", "min_contrast")
         return {name: getattr(self, name) for name in names}
 
     def to_dict_private(self) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from uwaug import __version__
-from uwaug.cli.degrade import degrade
+from uwaug.cli.degrade import Grouped, degrade
 from uwaug.cli.depth import depth
 from uwaug.cli.export import check, export
 from uwaug.cli.figures import compare, demo, plot
@@ -48,7 +48,8 @@ _COMMANDS = (
 
 for panel, command, example in _COMMANDS:
     epilog = f"Example: uwaug {command.__name__} {example}" if example else None
-    app.command(rich_help_panel=panel, epilog=epilog)(command)
+    cls = Grouped if command is degrade else None
+    app.command(cls=cls, rich_help_panel=panel, epilog=epilog)(command)
 app.add_typer(preset, name="preset", rich_help_panel="Waters")
 
 

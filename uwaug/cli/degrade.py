@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from uwaug.cli.choices import (
     FocalPx,
@@ -35,6 +36,26 @@ if TYPE_CHECKING:
     from uwaug.files.summary import Summary
 
 _RUN_OPTIONS = ("drift", "motion", "quality", "background")  # of --set, but not of the transform
+_GROUPS = {
+    "Output": ("out", "variants", "sheet", "maps"),
+    "Distance": ("distance", "unit", "holes", "view", "focal_px"),
+    "Water": ("water", "contrast", "severity", "like", "preset", "plain", "set_", "options"),
+    "Run": ("seed", "workers", "resume", "force", "ray", "help"),
+    "Films": ("sequence", "rig"),
+    "Labels": ("labels", "min_contrast"),
+}
+
+
+class Grouped(TyperCommand):
+    """The command with its flags in groups."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Flags, each with the heading of its group."""
+        params = super().get_params(ctx)
+        for param in params:
+            headings = [group for group, names in _GROUPS.items() if param.name in names]
+            vars(param)["rich_help_panel"] = headings[0] if headings else None
+        return params
 
 
 def degrade(

@@ -4,6 +4,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -73,6 +74,22 @@ def coloured(
     stops = np.array([ImageColor.getrgb(colour) for colour in colours]) / 255
     at = np.linspace(*span, len(colours))
     return torch.from_numpy(np.stack([np.interp(values[0], at, stop) for stop in stops.T]))
+
+
+def draw_box(picture: Tensor, pixels: Any, colour: str, size: tuple[int, int]) -> None:
+    """Draw a box around pixels (mask or slices) of a picture (3xHxW), a line wide on a sheet whose
+    pictures have a size at most.
+    """
+    inside = np.zeros(picture.shape[1:], bool)
+    inside[pixels] = True
+    y, x = inside.nonzero()
+    if len(y):
+        box = picture[:, y.min() : y.max() + 1, x.min() : x.max() + 1]
+        width = max(1, picture.shape[1] // size[1], picture.shape[2] // size[0])
+        core = box[:, width:-width, width:-width].clone()
+        ink = torch.tensor(ImageColor.getrgb(colour))[:, None, None]
+        box[:] = ink / 255 if picture.is_floating_point() else ink
+        box[:, width:-width, width:-width] = core
 
 
 def save(drawn: Image.Image, path: Path, quality: int = 88) -> None:

@@ -7,9 +7,6 @@ from typing import Any
 
 from uwaug._support.atomic import require_regular, write_whole
 
-# of every record
-_KEYS = ("uwaug", "torch", "numba", "name", "variant", "picture", "distance")
-
 
 def record_path(result: Path) -> Path:
     """Path of the record of a result."""
@@ -28,7 +25,8 @@ def read_record(path: Path) -> dict[str, Any]:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: is no record of a picture: {error}") from None
-    if not isinstance(record, dict) or not set(_KEYS) <= record.keys():
+    keys = {"uwaug", "torch", "numba", "name", "variant", "picture", "distance"}  # of all
+    if not isinstance(record, dict) or not keys <= record.keys():
         raise ValueError(f"{path}: is no record of a picture that uwaug has written")
     return record
 

@@ -86,11 +86,12 @@ class Work:
                 warnings.simplefilter("ignore")
                 return self._done(job)
         except Exception as error:  # decoders raise whatever they like over a damaged file
-            return _failed(job, reason_of(error))
+            return self.died(job, reason_of(error))
 
-    def died(self, job: Job) -> Result:
-        """The result of a job that a process has died over."""
-        return _failed(job, "the process died over it: out of memory, or a damaged file")
+    def died(self, job: Job, reason: str = "") -> Result:
+        """The result of a job that has failed for a reason, or that a process has died over."""
+        reason = reason or "the process died over it: out of memory, or a damaged file"
+        return Result(job.item, job.variant, job.place, "failed", reason=reason)
 
     def _done(self, job: Job) -> Result:
         path, sources = self.out / job.place, self.made_of(job)
@@ -114,10 +115,6 @@ class Work:
             job.labels.write(job.item.name, job.place, dropped, self.out)
         self.write(path, result, job.item)
         return _of_record(job, "written", record)
-
-
-def _failed(job: Job, reason: str) -> Result:
-    return Result(job.item, job.variant, job.place, "failed", reason=reason)
 
 
 def versions() -> dict[str, str]:
@@ -157,8 +154,7 @@ def run(
     workers = max(1, min(workers or os.cpu_count() or 1, len(jobs)))
     files: list[str] = []
     for job in jobs:
-        path = out / job.place
-        own = (path, record_path(path), *work.files(job))
+        own = (out / job.place, record_path(out / job.place), *work.files(job))
         files += [file.relative_to(out).as_posix() for file in own]
     with held(out) as say_alive:
         folder = RunFolder(out, work.made_with, files, inputs, resume=resume, force=force)
@@ -181,14 +177,9 @@ def run(
         # without results, those of before keep their lists
         lists, notes = labels.lists(made) if labels is not None and made else ({}, [])
         lists = {"index.csv": Summary(results).index(), **lists}
-        variants: dict[Path, list[Path]] = {}
-        for result in made:
-            variants.setdefault(result.item.picture, []).append(out / result.place)
-        if sheet and variants:
-            groups = [*variants.items()]
-            lists["sheet.jpg"] = drawn_sheet(groups, work.read, work.caption, beside)
-        notes = [*notes, *folder.write_lists(lists)]
-    return Summary(results, notes)
+        if sheet and made:
+            lists["sheet.jpg"] = drawn_sheet(made, work, labels, beside)
+        return Summary(results, [*notes, *folder.write_lists(lists)])
 
 
 def require_apart(

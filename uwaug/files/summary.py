@@ -59,8 +59,7 @@ class Summary:
     @property
     def blank(self) -> list[str]:
         """Names of pictures of which more than half is lost."""
-        shares = [(result.item.name, result.lost) for result in self.results]
-        return [name for name, share in shares if share is not None and share > 0.5]
+        return [result.item.name for result in self.results if (result.lost or 0) > 0.5]
 
     @property
     def odd(self) -> list[str]:

@@ -13,7 +13,7 @@ from torch import Tensor
 from uwaug._support import codec
 from uwaug._support.threads import one_thread
 from uwaug.distance.made_up import MadeUp
-from uwaug.distance.sources import Inverse, Relative
+from uwaug.distance.sources import Inverse, Relative, Source
 from uwaug.distance.unknown import of_shares
 from uwaug.files.films import Films, frames_of
 from uwaug.files.folder import NOT_OURS, require_same
@@ -26,7 +26,6 @@ from uwaug.files.record import digest, read_record, record_of, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, run, versions
 from uwaug.files.summary import Summary
 from uwaug.formation.contrast import FAINT
-from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.truth import MAPS, Truth
 
 _CONTRAST_ROWS = 128  # rows of the short side, about, that give the mean contrast of a picture
@@ -217,7 +216,7 @@ class _Underwater(Work):
             "odd": clarity.odd if clarity else "",
             "truth": truth and truth.record(),
             "objects": [label._asdict() for label in objects],
-            "asked": _questions(item, transform, picture, z, labels),
+            "asked": _questions(job, transform.distance, picture, z),
         }
 
     def write(self, path: Path, result: tuple[Tensor, Truth | None], item: Item) -> None:
@@ -262,18 +261,12 @@ def _short_name(water: str | dict[str, float]) -> str:
     return ",".join(f"{content}={amount:.2g}" for content, amount in water.items() if amount)
 
 
-def _questions(
-    item: Item,
-    transform: RandomUnderwater,
-    picture: Picture,
-    z: Tensor | None,
-    labels: Labels | None,
-) -> list[str]:
-    source, image = transform.distance, picture.image
-    may_be_12_bits = item.picture.suffix.lower() in (".png", ".tif", ".tiff")
+def _questions(job: Job, source: Source, picture: Picture, z: Tensor | None) -> list[str]:
+    image = picture.image
+    may_be_12_bits = job.item.picture.suffix.lower() in (".png", ".tif", ".tiff")
     may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
     doubts = {
-        "turned": (z is not None or labels is not None) and picture.orientation > 1,
+        "turned": (z is not None or job.labels is not None) and picture.orientation > 1,
         "dark": may_be_12_bits and image.is_floating_point() and float(image.max()) < _DARK_LIGHT,
         "profile": bool(picture.profile),
         "alone": may_have_holes and z is not None and bool(of_shares(z).any()),

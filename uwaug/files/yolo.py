@@ -1,5 +1,6 @@
 """Labels of YOLO: a text file for each picture, a data.yaml for all."""
 
+import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import cycle
@@ -30,6 +31,7 @@ class Yolo(Folder):
 
     description: Entry = field(default_factory=dict)  # content of the data.yaml
     told: Sequence[str] = ()  # sentences on where classes are from
+    dry_val: list[str] = field(default_factory=list)  # paths of what the description names as val
     # those of each picture that the description names
     splits: Mapping[str, list[str]] = field(default_factory=dict)
 
@@ -68,7 +70,8 @@ class Yolo(Folder):
                 raise ValueError(f"{folder}: more than one .yaml has names: call one data.yaml")
             for file, content in contents.items():
                 classes, source = classes | content, file if "names" in content else source
-                return replace(self, description=classes, told=_told(source, classes, lists))
+                told, val = _told(source, classes, lists), _dry_val(folder, content)
+                return replace(self, description=classes, told=told, dry_val=val)
         counts = {len(numbers) for file in samples if (numbers := _first(file))}
         if len(counts) == 1 and min(counts) > 6:
             got = f"{samples[0]}: objects of {min(counts)} numbers are polygons, or have keypoints"
@@ -170,7 +173,7 @@ class Yolo(Folder):
         import yaml
 
         notes = [*self.told]
-        splits, is_described = {"train": "", "val": ""}, any(self.splits.values())
+        splits, is_described = {"train": ""}, any(self.splits.values())
         for picture in pictures:
             stated = self.splits[picture.item.name]
             folders = [] if is_described else picture.place.split("/")[:-1]
@@ -182,11 +185,9 @@ class Yolo(Folder):
         elif rest:
             count, first = rest.count("\n"), rest.partition("\n")[0]
             notes.append(f"{count} pictures are of no split, and in no list, such as {first}")
-        named = ("train", "val", *filter(self.description.get, ["test"]))
-        for split in [split for split in named if not splits.get(split)]:
-            splits[split] = splits["train"] if split == "val" else ""  # trainers insist on it
-            content = "those of train" if splits[split] else "nothing"
-            notes.append(f"no picture is of the split {split}: {split}.txt lists {content}")
+        for split in ("train", *filter(self.description.get, ["test"])):
+            if not splits.setdefault(split, ""):
+                notes.append(f"no picture is of the split {split}: {split}.txt lists nothing")
         classes = {key: x for key, x in self.description.items() if key not in _PLACE_KEYS}
         if not {"names", "nc"} & classes.keys():
             names = {picture.item.name for picture in pictures} & self.of.keys()
@@ -194,10 +195,24 @@ class Yolo(Folder):
             classes["nc"] = max((int(float(words[0])) for words in lines if words), default=0) + 1
             looked = f"data.yaml, {', '.join(_CLASS_FILES)}"
             notes.append(f"no names of classes were found ({looked}): nc: {classes['nc']}, counted")
-        entries = {split: f"{split}.txt" for split in splits} | classes
+        entries: Entry = {split: f"{split}.txt" for split in splits}
+        if "val" not in splits:
+            entries |= {"val": self.dry_val} if self.dry_val else {}
+            cure = "data.yaml has no val: add dry pictures to validate on, as val: /ds/images/val"
+            notes.append(f"val is dry: {', '.join(self.dry_val)}" if self.dry_val else cure)
+        entries |= classes
         lists = {f"{split}.txt": text.encode() for split, text in splits.items()}
         text = yaml.safe_dump(entries, sort_keys=False, allow_unicode=True)
         return {**lists, "data.yaml": text.encode()}, notes
+
+
+def _dry_val(root: Path, description: Entry) -> list[str]:
+    """Absolute paths of all that a description names as val; none if any of it is not there."""
+    stated, folders = description.get("val") or [], (root / str(description.get("path", "")), root)
+    places = map(str, [stated] if isinstance(stated, str) else stated)  # Roboflow's begin with ../
+    tried = [[f / end for f in folders for end in (p, p.removeprefix("../"))] for p in places]
+    paths = [next((os.path.abspath(p) for p in each if p.exists()), "") for each in tried]
+    return paths if all(paths) else []
 
 
 def _told(source: Path | None, classes: Entry, lists: Mapping[Path, list[str]]) -> list[str]:

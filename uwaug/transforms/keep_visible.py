@@ -1,7 +1,7 @@
 """`KeepVisible`: targets of a detector that name only what can still be seen."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from typing import Any
@@ -141,13 +141,19 @@ def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
         from torchvision.transforms.v2.functional import convert_bounding_box_format
 
         boxes = convert_bounding_box_format(boxes, new_format="XYXY")
-    corners, means = torch.as_tensor(boxes).reshape(-1, 4), []
+    corners = torch.as_tensor(boxes).reshape(-1, 4)
     if bool((corners[:, 2:] < corners[:, :2]).any()):
         cure = "for (x, y, width, height) give torchvision's BoundingBoxes"
         raise ValueError(f"target['boxes'] end before they begin: expected corners in px; {cure}")
     if len(corners) and 0 < float(corners.max()) <= 1 < max(contrast_map.shape):
         raise ValueError("target['boxes'] lie in 0…1: expected px, so multiply by width and height")
-    for x1, y1, x2, y2 in corners.tolist():
+    return means_over(corners.tolist(), contrast_map)
+
+
+def means_over(boxes: Iterable[Sequence[float]], contrast_map: Tensor) -> Tensor:
+    """Mean of a map (HxW) over each box (x1, y1, x2, y2, px); 0 for one without pixels."""
+    means, size = [], (contrast_map.shape[0], contrast_map.shape[1])
+    for x1, y1, x2, y2 in boxes:
         part = contrast_map[of_box(x1, y1, x2, y2, size)]
         means.append(float(part.mean()) if part.numel() and x1 < x2 and y1 < y2 else 0.0)
     return torch.tensor(means)
