@@ -106,7 +106,8 @@ def plan_blur(
     checks.tolerance(tolerance)
     checks.one_of("shape", shape, get_args(Shape))
     checks.within("longest", longest, 1)
-    octave = _octave(shape, longest)
+    # in octaves, so that sizes share plans; a tiny picture would ask too much of narrow blurs
+    octave = max(octave_steps(longest, 1, math.ceil), 256.0) if shape == "exponential" else 512.0
     return _plan_blur(float(sigma_min), float(sigma_max), float(tolerance), shape, octave, shared)
 
 
@@ -146,14 +147,6 @@ def _plan_blur(
         error=error,
         shape=shape,
     )
-
-
-def _octave(shape: Shape, longest: float) -> float:
-    """Longest side (px) that plans are made for, in octaves, so that sizes share plans."""
-    if shape == "gaussian":
-        return 512.0
-    # a tiny picture would ask too much of narrow blurs
-    return max(octave_steps(longest, 1, math.ceil), 256.0)
 
 
 def _wanted(low: float, high: float, shape: Shape, longest: float) -> tuple[Array, Array]:
