@@ -32,6 +32,7 @@ def export(
     from uwaug import Medium, Underwater
     from uwaug.fitting import load_fit
     from uwaug.onnx import export_onnx
+    from uwaug.onnx.run import arguments_of
     from uwaug.presets import load_preset
 
     with reported_errors(), status() as say:
@@ -43,15 +44,8 @@ def export(
             if coefficients and water is None:
                 # planned for the widths of all named waters
                 media = [load_preset(preset, water=n).module().medium for n in (*WATERS, *PLACES)]
-                module = Underwater(
-                    Medium.stack([module.medium, *media]),
-                    module.distance_range,
-                    module.tolerance,
-                    module.color_space,
-                    sides=sides,
-                    development=module.development,
-                    light=module.light,
-                )
+                stack = Medium.stack([module.medium, *media])
+                module = Underwater(**{**arguments_of(module), "medium": stack})
         export_onnx(module, out, coefficients=coefficients, progress=say)
     print_written(out)
     print(f"    {module.medium}")
