@@ -13,7 +13,7 @@ from torch import Tensor
 
 from uwaug._support.types import Array, Shape
 from uwaug.fitting.data import Geometry, Pixels
-from uwaug.optics.medium import OF_LAMPS, Medium
+from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import Law, PointSpread
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.view import WIDE
@@ -242,7 +242,8 @@ class CoefficientModel(Model):
             rates, none = np.concatenate([beta, G]), np.zeros((3, 3))
             signal, veil = np.concatenate([signal, none], 1), np.concatenate([none, veil], 1)
             note = "fitted: direct light and veil, no forward scatter"
-        arrays = dict(zip(OF_LAMPS, (beta, direct, rates, signal, veil), strict=True))
+        arrays = {"beta": beta, "direct_weights": direct, "G": rates}
+        arrays |= {"signal_weights": signal, "veil_weights": veil}
         return Medium.of_arrays(arrays, b, law, note)
 
     def picture(self, c: Coefficients, pixels: Pixels) -> Tensor:
