@@ -61,9 +61,8 @@ class BlurPlan:
     def __str__(self) -> str:
         if self.sigmas == (0.0,):
             return "no blur (it would not show)"
-        widths = []
-        for sigma, cell in zip(self.sigmas, self.cells, strict=True):
-            widths.append(f"{sigma:.3g}" if cell == 1 else f"{sigma:.3g}/{cell:.2g}")
+        blurs = zip(self.sigmas, self.cells, strict=True)
+        widths = [f"{x:.3g}" if cell == 1 else f"{x:.3g}/{cell:.2g}" for x, cell in blurs]
         span = f"{self.sigma_min:.3g}…{self.sigma_max:.3g} px"
         decibel = -20 * math.log10(self.error)
         return f"{len(self.sigmas)} blurs for σ {span} ({', '.join(widths)}), {decibel:.0f} dB"

@@ -27,8 +27,7 @@ class Curves(NamedTuple):
 
     def parts(self, J: Tensor, soft: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """D, F and B (Bx3xHxW), which add up to `image`."""
-        direct = passed(self.direct, J)
-        return direct, passed(self.scatter, soft), self.veil
+        return passed(self.direct, J), passed(self.scatter, soft), self.veil
 
 
 class Sums(NamedTuple):
