@@ -54,16 +54,13 @@ class Session:
         self.path.open("rb").close()  # for Python's own error if it may not be read
         options = ort.SessionOptions()
         options.log_severity_level = 3
-        options.intra_op_num_threads = (
-            torch.get_num_threads() if self.threads is None else self.threads
-        )
+        threads = torch.get_num_threads() if self.threads is None else self.threads
+        options.intra_op_num_threads = threads
         # threads that spin while they wait halve the speed of whatever runs beside them: two on two
         # cores then take 8 ms for our file of 256² instead of 5
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        level = ort.GraphOptimizationLevel
-        options.graph_optimization_level = (
-            level.ORT_ENABLE_ALL if self.optimise else level.ORT_DISABLE_ALL
-        )
+        if not self.optimise:
+            options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         try:
             return ort.InferenceSession(str(self.path), options, providers=list(self.providers))
         # its exceptions have no common base, and no place in the public interface

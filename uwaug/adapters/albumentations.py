@@ -20,7 +20,6 @@ try:
 except ImportError as missing:
     raise ImportError(f"{missing.name} is missing: {install('albumentations')}") from missing
 
-
 # kinds of targets that move with pictures and keep their values
 _MASKS = ("mask", "masks", "mask3d", "masks3d")
 

@@ -145,7 +145,22 @@ class Matrix(NamedTuple):
         """
 
         def blocks(start: int, stop: int) -> list[Run]:
-            return self._blocks(start, stop, axis, height, dtype, device)
+            """Cut rows `start` to `stop`, with the columns that each block uses."""
+            if start == stop:
+                return []
+            first, slab = self.slab(start, stop)
+            runs = []
+            for row in range(0, stop - start, height):
+                rows = slab[row : row + height]
+                used = np.flatnonzero(rows.any(0))
+                # a cell that no pixel uses has no column
+                low, high = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 1)
+                part = rows[:, low:high]
+                block = torch.from_numpy(np.ascontiguousarray(part if axis == 0 else part.T))
+                block = block.to(device, dtype)
+                matrix = block if axis == 0 else block.t()
+                runs.append(Run(start + row, len(part), 1, first + low, 0, matrix, matrix.t()))
+            return runs
 
         count = self.cols if self.transposed else self.rows
         edge = self.edge()
@@ -165,32 +180,6 @@ class Matrix(NamedTuple):
                 for run in middle:
                     runs.append(run._replace(row=run.row + n * period, col=run.col + n * step))
         return Banded(count, (*runs, *blocks(end, count)))
-
-    def _blocks(
-        self,
-        start: int,
-        stop: int,
-        axis: int,
-        height: int,
-        dtype: torch.dtype,
-        device: torch.device,
-    ) -> list[Run]:
-        """Cut rows `start` to `stop` into blocks, each with the columns that it uses."""
-        if start == stop:
-            return []
-        first, slab = self.slab(start, stop)
-        runs = []
-        for row in range(0, stop - start, height):
-            rows = slab[row : row + height]
-            used = np.flatnonzero(rows.any(0))
-            # a cell that no pixel uses has no column
-            low, high = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 1)
-            part = rows[:, low:high]
-            block = torch.from_numpy(np.ascontiguousarray(part if axis == 0 else part.T))
-            block = block.to(device, dtype)
-            matrix = block if axis == 0 else block.t()
-            runs.append(Run(start + row, len(part), 1, first + low, 0, matrix, matrix.t()))
-        return runs
 
 
 def along_rows(matrix: Banded, x: Tensor) -> Tensor:

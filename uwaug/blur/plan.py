@@ -61,9 +61,8 @@ class BlurPlan:
     def __str__(self) -> str:
         if self.sigmas == (0.0,):
             return "no blur (it would not show)"
-        widths = []
-        for sigma, cell in zip(self.sigmas, self.cells, strict=True):
-            widths.append(f"{sigma:.3g}" if cell == 1 else f"{sigma:.3g}/{cell:.2g}")
+        blurs = zip(self.sigmas, self.cells, strict=True)
+        widths = [f"{x:.3g}" if cell == 1 else f"{x:.3g}/{cell:.2g}" for x, cell in blurs]
         span = f"{self.sigma_min:.3g}…{self.sigma_max:.3g} px"
         decibel = -20 * math.log10(self.error)
         return f"{len(self.sigmas)} blurs for σ {span} ({', '.join(widths)}), {decibel:.0f} dB"
@@ -106,7 +105,8 @@ def plan_blur(
     checks.tolerance(tolerance)
     checks.one_of("shape", shape, get_args(Shape))
     checks.within("longest", longest, 1)
-    octave = _octave(shape, longest)
+    # in octaves, so that sizes share plans; a tiny picture would ask too much of narrow blurs
+    octave = max(octave_steps(longest, 1, math.ceil), 256.0) if shape == "exponential" else 512.0
     return _plan_blur(float(sigma_min), float(sigma_max), float(tolerance), shape, octave, shared)
 
 
@@ -146,14 +146,6 @@ def _plan_blur(
         error=error,
         shape=shape,
     )
-
-
-def _octave(shape: Shape, longest: float) -> float:
-    """Longest side (px) that plans are made for, in octaves, so that sizes share plans."""
-    if shape == "gaussian":
-        return 512.0
-    # a tiny picture would ask too much of narrow blurs
-    return max(octave_steps(longest, 1, math.ceil), 256.0)
 
 
 def _wanted(low: float, high: float, shape: Shape, longest: float) -> tuple[Array, Array]:

@@ -82,8 +82,7 @@ def degrade(
         ),
     ] = None,
     contrast: Annotated[
-        str | None,
-        typer.Option(help="Contrast left at median distance, .4 or .1:.8."),
+        str | None, typer.Option(help="Contrast left at median distance, .4 or .1:.8.")
     ] = None,
     severity: Annotated[
         str | None, typer.Option(help="Murk, 1 to 5; all: a folder for each.", metavar="1…5|all")

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from uwaug.cli.choices import WATERS, Force, Holes, Unit, complete, number_or_word
+from uwaug.cli.choices import WATERS, Force, Holes, Unit, complete, number_or_word, read_metres
 from uwaug.cli.console import print_written, reported_errors, require_writable
 
 
@@ -33,7 +33,6 @@ def page(
     """Write a page that shows what degrade makes: your own pictures, every slider, offline."""
     require_writable(out, force=force, endings=(".html",))
     from uwaug._support import checks
-    from uwaug.cli.choices import read_metres
     from uwaug.distance import MadeUp, Metres
     from uwaug.files.pictures import metres_of, read_picture
     from uwaug.page.tables import PIXELS

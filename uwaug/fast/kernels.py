@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from uwaug._support.types import Array
 from uwaug.fast.gate import inner, kernel
 from uwaug.fast.tables import (
     ENTRY_BITS,
@@ -24,7 +25,6 @@ from uwaug.fast.tables import (
     CoarseTable,
     DevelopmentTable,
     DistanceTable,
-    Doubles,
     Floats,
     Indices,
     RaysTable,
@@ -499,7 +499,7 @@ def meter(
     water: WaterTable,
     rays: RaysTable,
     brightness: Floats,
-) -> Doubles:
+) -> Array:
     """Mean light (3x3) at some pixels of a picture of light (3xN), z and metres (N): of the scene,
     of what arrives without the blur, and of what is positive of that. The indices `points` (M) have
     no sign, which numba would test. `brightness` (M) is filled with the brightest channel.

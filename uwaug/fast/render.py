@@ -107,19 +107,11 @@ def form(
     layers = _snow(setting, z, z if metres is None else metres, batch)
     kind = torch.uint8 if image.dtype == torch.uint8 else torch.float32
     result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
-    pictures = list(
-        zip(
-            scenes,
-            layers,
-            _each(widths, batch),
-            begins,
-            _each(developments, batch),
-            highest,
-            result.numpy(),
-            strict=True,
-        )
-    )
-    for lines in _strips(size):
+    rows: Any = scenes, layers, _each(widths, batch), begins, _each(developments, batch), highest
+    pictures = list(zip(*rows, result.numpy(), strict=True))
+    step = max(_BAND // size[1], 64)
+    for first in range(0, size[0], step):
+        lines = range(first, min(first + step, size[0]))
         for n, (scene, layer, width, begin, table, most, out) in enumerate(pictures):
             if n == 0 or len(J) > 1:  # one picture in several waters is blurred once
                 grid, starts = _coarse_grids(scene.light, blurs, lines)
@@ -135,12 +127,6 @@ def form(
 def _each(rows: Any, batch: int) -> Any:
     """A row for each picture of a batch; a single one serves all."""
     return rows if len(rows) == batch else [rows[n % len(rows)] for n in range(batch)]
-
-
-def _strips(size: Size) -> list[range]:
-    """Rows of a picture whose coarse grids are held at a time."""
-    step = max(_BAND // size[1], 64)
-    return [range(first, min(first + step, size[0])) for first in range(0, size[0], step)]
 
 
 def _in_pixels(medium: Medium, setting: Setting, size: Size) -> Weights:

@@ -21,7 +21,6 @@ from uwaug.optics.view import Size, View
 from uwaug.optics.weights import Weights
 
 Floats = NDArray[np.float32]
-Doubles = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 
@@ -204,22 +203,18 @@ def _taps(nodes: list[Node]) -> Floats:
 
 
 def _coarse_table(node: Node, height: int, width: int) -> CoarseTable:
-    down_first, down = _rows_of("shrink", node, height)
-    across_first, across = _rows_of("shrink", node, width)
-    back_first, back = _rows_of("enlarge", node, width)
-    row_margin = _beyond(down_first, down, height)
-    column_margin = _beyond(across_first, across, width)
-    return CoarseTable(
-        rows=_mirrored(row_margin, height),
-        down_first=down_first + row_margin,
-        down=down,
-        columns=_mirrored(column_margin, width),
-        column_margin=column_margin,
-        across_first=across_first + column_margin,
-        across=across,
-        back_first=back_first,
-        back=back,
-    )
+    rows, _, down_first, down = _shrinking(node, height)
+    along_rows = *_shrinking(node, width), *_rows_of("enlarge", node, width)
+    return CoarseTable(rows, down_first, down, *along_rows)
+
+
+def _shrinking(node: Node, size: int) -> tuple[Indices, int, Indices, Floats]:
+    """Mirrored places of an axis, and how many of them lie before it; for each cell the first of
+    its places, and the weights.
+    """
+    first, weights = _rows_of("shrink", node, size)
+    margin = max(0, -int(first.min()), int(first.max()) + weights.shape[1] - size)
+    return _mirrored(margin, size), margin, first + margin, weights
 
 
 def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
@@ -233,11 +228,6 @@ def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
     place = (np.arange(matrix.rows) - kernels.shift) % len(kernels.first)
     weights = np.pad(kernels.weights, ((0, 0), (0, -kernels.taps % 4)))[place]
     return kernels.starts(0, matrix.rows), weights.astype(np.float32)
-
-
-def _beyond(first: Indices, weights: Floats, size: int) -> int:
-    end = int(first.max()) + int(weights.shape[1])
-    return max(0, -int(first.min()), end - size)
 
 
 def _mirrored(margin: int, size: int) -> Indices:

@@ -98,7 +98,7 @@ def draw_terms(scene: Scene, case: Case) -> Image.Image:
     rng, (low, high) = torch.Generator().manual_seed(4), case.field_range
     size = (scene.image.shape[-2], scene.image.shape[-1])
     field = gaussian_random_field(size, low=low, high=high, generator=rng)[0]
-    z = scene.distance * field
+    z, farthest = scene.distance * field, extent(scene.distance[scene.distance.isfinite()])[1]
     J = decoded(scene.image, module.color_space)
     gain = module.development.gain(J[None], z[None].clamp(max=1e9), medium.to(J))
     terms = [exposed(term[None], gain)[0] for term in form_image(J, z, medium, view=module.view)]
@@ -108,7 +108,7 @@ def draw_terms(scene: Scene, case: Case) -> Image.Image:
         (scene.image, "J   scene without water"),
         _distance(scene.distance),
         (coloured(field, (low, max(high, low + 1e-3)), LESS_TO_MORE), f"m   medium field, {span}"),
-        (_curves(medium, 1.5 * _finite_extent(scene.distance)[1]), "Curves of red, green and blue"),
+        (_curves(medium, 1.5 * farthest), "Curves of red, green and blue"),
         (direct, "D   direct"),
         (forward, "F   forward scatter"),
         (backscatter, "B   backscatter"),
@@ -118,13 +118,9 @@ def draw_terms(scene: Scene, case: Case) -> Image.Image:
     return sheet_of(scene, cells, heading, f"{caption}\n{case.setting}.")
 
 
-def _finite_extent(z: Tensor) -> tuple[float, float]:
-    return extent(z[z.isfinite()])
-
-
 def _distance(z: Tensor) -> Cell:
     """Distances (1xHxW, m) in colours, and what these mean; +inf is open water."""
-    near, far = _finite_extent(z)
+    near, far = extent(z[z.isfinite()])
     beyond = "" if bool(z.isfinite().all()) else ", open water"
     return coloured(z, (near, max(far, near + 1e-3))), (
         f"z   {near:.3g} m (yellow) to {far:.3g} m{beyond} (violet)"

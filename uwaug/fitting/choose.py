@@ -61,13 +61,11 @@ class FittedModel(Generic[M]):
     @property
     def explained(self) -> float:
         """Share of the variance of the observed pixels that the model explains."""
-        pixels, variance, count = self.objective.pixels, 0.0, 0
-        for light, weight in zip(pixels.observed[0], pixels.weights[0], strict=True):
-            values = light[weight > 0]
-            if values.numel():
-                variance += float((values - values.mean()).square().sum())
-                count += values.numel()
-        return 1 - self.rms**2 * count / variance if variance > 0 else 0.0
+        pixels = self.objective.pixels
+        colours = zip(pixels.observed[0], pixels.weights[0] > 0, strict=True)
+        lights = [light[is_used] for light, is_used in colours]
+        variance = float(torch.cat([x - x.mean() for x in lights]).square().mean())
+        return 1 - self.rms**2 / variance if variance > 0 else 0.0
 
 
 def result_of(

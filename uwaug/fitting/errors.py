@@ -122,13 +122,9 @@ def parameters(
         if not slope.any():
             number = Parameter(float(value), None, None, None, quantity.unit, "fixed")
         else:
-            number = parameter(
-                quantity,
-                float(value),
-                math.sqrt(max(variance, 0.0)),
-                shows=covariance.shows(slope) and quantity.name not in hidden,
-                at_bound=quantity.follows in at_bound,
-            )
+            error, is_at_bound = math.sqrt(max(variance, 0.0)), quantity.follows in at_bound
+            shows = covariance.shows(slope) and quantity.name not in hidden
+            number = parameter(quantity, float(value), error, shows=shows, at_bound=is_at_bound)
         rows[quantity.name] = number
     return rows, matrix
 

@@ -247,7 +247,7 @@ def _start(objective: Objective[TypeModel]) -> Array:
     """The best θ of a grid of visibilities and depths, with a gain by linear least squares."""
     model, pixels = objective.model, objective.pixels
     observed = pixels.observed * pixels.weights
-    best, best_cost = np.zeros(len(model.bounds)), math.inf
+    trials = []
     for visibility in _START_VISIBILITIES * model.geometry.reference:
         contents = max(model.water.contents_for(_VISIBLE_CONTRAST, visibility), _MIN_CONTENTS)
         for depth in _START_DEPTHS if model.depth is None else (model.depth,):
@@ -256,7 +256,5 @@ def _start(objective: Objective[TypeModel]) -> Array:
             light = model.render(theta, pixels) * pixels.weights
             gain = float((light * observed).sum() / light.square().sum().clamp(min=1e-300))
             theta[-1] = math.log(min(max(gain, 1 / MAX_GAIN), MAX_GAIN))
-            cost = float(loss(objective.residual(theta)).sum())
-            if cost < best_cost:
-                best, best_cost = theta, cost
-    return best
+            trials.append((float(loss(objective.residual(theta)).sum()), theta))
+    return min(trials, key=lambda trial: trial[0])[1]

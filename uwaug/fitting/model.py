@@ -242,16 +242,9 @@ class CoefficientModel(Model):
             rates, none = np.concatenate([beta, G]), np.zeros((3, 3))
             signal, veil = np.concatenate([signal, none], 1), np.concatenate([none, veil], 1)
             note = "fitted: direct light and veil, no forward scatter"
-        numbers = {"b_mean": b, "scale": law.scale, "exponent": law.exponent}
-        arrays = {
-            "beta": beta,
-            "direct_weights": direct,
-            "G": rates,
-            "signal_weights": signal,
-            "veil_weights": veil,
-            **{name: np.array(number) for name, number in numbers.items()},
-        }
-        return Medium.of_arrays(arrays, law.law, note)
+        arrays = {"beta": beta, "direct_weights": direct, "G": rates}
+        arrays |= {"signal_weights": signal, "veil_weights": veil}
+        return Medium.of_arrays(arrays, b, law, note)
 
     def picture(self, c: Coefficients, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""

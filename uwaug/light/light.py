@@ -163,11 +163,8 @@ class Light:
             day = day._replace(veil=day.veil * veil_factor(self.pitch, z, view))
         if not self.lamps:
             return day
-        density: float | Tensor = 1.0
-        if metres is None:
-            metres = z
-        else:
-            density = density_of(z, metres)
+        density: float | Tensor = 1.0 if metres is None else density_of(z, metres)
+        metres = z if metres is None else metres
         water = medium.under_lamp()
         arrives, veil = self.lit(water, view.rays(metres), metres, density)
         direct = _dimmed(arrives, _straight(water, z))

@@ -4,7 +4,6 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -33,14 +32,6 @@ class Report:
 
     def __str__(self) -> str:
         return f"{self.cases} cases, largest difference {self.worst:.2g} ({self.where})"
-
-
-class _Case(NamedTuple):
-    """Batch on which a file is checked, in float32."""
-
-    name: str
-    image: Tensor
-    distance: Tensor
 
 
 def check_onnx(
@@ -82,30 +73,30 @@ def check_onnx(
     differences: list[tuple[float, str]] = []
     change = 0.0
     cases = list(_cases(module))
-    for number, case in enumerate(cases):
+    for number, (case, image, distance) in enumerate(cases):
         if progress is not None:
             progress(f"checking, case {number + 1} of {len(cases)}")
         # all media in turn, one for each image of a batch
-        in_turn = [media[(number + i) % len(media)] for i in range(len(case.image))]
+        in_turn = [media[(number + i) % len(media)] for i in range(len(image))]
         medium = media[0] if len(media) == 1 else Medium.stack(in_turn)
-        inputs = {"image": case.image, "distance": case.distance}
+        inputs = {"image": image, "distance": distance}
         if module.development.noise is not None:
             seeded = torch.Generator().manual_seed(number)
-            inputs["noise"] = torch.randn(case.image.shape, generator=seeded, dtype=torch.float32)
+            inputs["noise"] = torch.randn(image.shape, generator=seeded, dtype=torch.float32)
         light = module.light
         if light is not None and takes_coefficients:
-            light = _varied(light, number, len(case.image))
+            light = _varied(light, number, len(image))
         exact = _exact(module, inputs, medium, light)
-        change = max(change, float((exact - case.image).abs().max()))
+        change = max(change, float((exact - image).abs().max()))
         # a near lamp goes far beyond white, where single precision has digits less
         brightest = max(1.0, float(exact.max())) if light is not None and light.lamps else 1.0
         if takes_coefficients:
-            batch = medium.expand(len(case.image))
+            batch = medium.expand(len(image))
             inputs |= {
                 name: torch.from_numpy(x) for name, x in coefficients_of(batch, light).items()
             }
         for state, session in sessions.items():
-            name = f"{case.name}, optimisations {state}"
+            name = f"{case}, optimisations {state}"
             off = _difference(path, session, inputs, exact, name)
             differences.append((off / brightest, name))
     worst, where = max(differences)
@@ -167,7 +158,8 @@ def _difference(
     return math.inf if math.isnan(difference) else difference
 
 
-def _cases(module: Underwater) -> Iterator[_Case]:
+def _cases(module: Underwater) -> Iterator[tuple[str, Tensor, Tensor]]:
+    """Name, pictures and distances, in float32, of each batch on which a file is checked."""
     assert module.distance_range is not None
     assert module.sides is not None
     rng = torch.Generator().manual_seed(0)
@@ -203,7 +195,7 @@ def _cases(module: Underwater) -> Iterator[_Case]:
             distance = 3 * far + distance
         elif kind == "open water behind":
             distance = torch.where(ramp > 0.5, torch.inf, distance)
-        yield _Case(f"{kind}, {batch}×{height}×{width}", image, distance)
+        yield f"{kind}, {batch}×{height}×{width}", image, distance
 
 
 def _unrelated_media(medium: Medium) -> list[Medium]:

@@ -27,7 +27,7 @@ from uwaug.formation.underwater import Underwater
 from uwaug.light import Lamp, Light
 from uwaug.onnx.blurs import Blurs
 from uwaug.onnx.check import check_onnx, plan_of
-from uwaug.onnx.run import coefficients_of, described
+from uwaug.onnx.run import arguments_of, coefficients_of, described
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 
@@ -236,22 +236,12 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
 
 def _metadata(module: Underwater, plan: BlurPlan, coefficients: bool) -> dict[str, str]:
     """Metadata of a file; "uwaug_module" holds the arguments of `Underwater`."""
-    arguments = {
-        "medium": module.medium,
-        "distance_range": module.distance_range,
-        "tolerance": module.tolerance,
-        "color_space": module.color_space,
-        "sides": module.sides,
-        "development": module.development,
-        "light": module.light,
-        "view": module.view,
-    }
     return {
         "uwaug_version": __version__,
         "uwaug_water": "; ".join(module.medium.notes),
         "uwaug_plan": str(plan),
         "uwaug_coefficients": "inputs" if coefficients else "constants",
-        "uwaug_module": json.dumps(to_plain(arguments)),
+        "uwaug_module": json.dumps(to_plain(arguments_of(module))),
     }
 
 

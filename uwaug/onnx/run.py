@@ -72,6 +72,12 @@ _MADE = (Medium, Development, Light, View)
 """Classes of the arguments of a module. The metadata of a stranger's file make nothing else."""
 
 
+def arguments_of(module: Underwater) -> dict[str, Any]:
+    """Arguments of a module by name."""
+    names = ("medium", "distance_range", "tolerance", "color_space", "sides")
+    return {name: getattr(module, name) for name in (*names, "development", "light", "view")}
+
+
 def module_of(path: str | os.PathLike[str], metadata: dict[str, str]) -> Underwater:
     """Make the module of the file at `path` from its metadata."""
     try:

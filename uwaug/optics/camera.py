@@ -110,7 +110,6 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
 
     Source of the named cameras: Darrodi et al., *Reference data set for camera spectral sensitivity
     estimation*, JOSA A 32 (2015), measured at NPL, as packaged by colour-science (BSD-3-Clause).
-
     """
     if isinstance(camera, Camera):
         return camera

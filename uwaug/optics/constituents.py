@@ -35,6 +35,7 @@ import numpy as np
 from uwaug._support import checks
 from uwaug._support.codec import plain
 from uwaug._support.nouns import Noun, number
+from uwaug._support.ranges import Range, read_range
 from uwaug._support.types import Array
 from uwaug.optics.spectra import WAVELENGTHS, read_spectra
 
@@ -105,18 +106,14 @@ class Constituents(Noun):
         """Read contents as they are written on a command line, such as "chlorophyll=5,cdom=0.3:1";
         those that are missing are 0. ValueError if one is unknown, named twice, or has no number.
         """
-        ranges: dict[str, float | tuple[float, float]] = {}
+        ranges: dict[str, Range] = {}
         for part in text.split(","):
             name, _, value = part.partition("=")
-            name = name.strip().lower()
-            try:
-                numbers = tuple(float(number) for number in value.split(":"))
-            except ValueError:
-                numbers = ()
-            if name not in UNITS or name in ranges or len(numbers) not in (1, 2):
+            name, amount = name.strip().lower(), read_range(value)
+            if name not in UNITS or name in ranges or amount is None:
                 expected = "a water such as chlorophyll=5,cdom=0.3,minerals=1:10"
                 raise ValueError(f"expected {expected}, got {part.strip()!r:.80} in {text!r:.80}")
-            ranges[name] = numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
+            ranges[name] = amount
         return cls(**ranges)
 
     @property
@@ -142,7 +139,7 @@ class Constituents(Noun):
         return all(low <= amounts[n] <= high for n, (low, high, _) in self._ends.items())
 
 
-def _text(value: float | tuple[float, float]) -> str:
+def _text(value: Range) -> str:
     """Shortest text that reads as the same number, or range."""
     numbers = value if isinstance(value, tuple) else (value,)
     return ":".join(repr(number).removesuffix(".0") for number in numbers)

@@ -6,10 +6,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from uwaug.optics.surfaces import as_matrices
+
 FARTHEST = 1e9  # m, stands for +inf, so that 0·inf never arises
-# Optical depth below which 1 − e^−x keeps less than 16 of the 24 bits of single precision, and the
-# veil is off by 2e-5 of itself.
-_MIN_DEPTH = 1 / 256
 _LOG2E = math.log2(math.e)
 
 
@@ -28,8 +27,7 @@ class Curves(NamedTuple):
 
     def parts(self, J: Tensor, soft: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """D, F and B (Bx3xHxW), which add up to `image`."""
-        direct = passed(self.direct, J)
-        return direct, passed(self.scatter, soft), self.veil
+        return passed(self.direct, J), passed(self.scatter, soft), self.veil
 
 
 class Sums(NamedTuple):
@@ -119,16 +117,9 @@ def added(first: Curves, second: Curves) -> Curves:
     if first.direct.ndim == second.direct.ndim:
         return Curves(*map(torch.add, first, second))
     direct, scatter = (
-        _as_matrices(a) + _as_matrices(b) for a, b in zip(first[:2], second[:2], strict=True)
+        as_matrices(a, 2) + as_matrices(b, 2) for a, b in zip(first[:2], second[:2], strict=True)
     )
     return Curves(direct, scatter, first.veil + second.veil)
-
-
-def _as_matrices(T: Tensor) -> Tensor:
-    if T.ndim == 5:
-        return T
-    unit = torch.eye(3, dtype=T.dtype, device=T.device)
-    return unit[:, :, None, None] * T[:, :, None]
 
 
 def decay(rates: Tensor, z: Tensor) -> Tensor:
@@ -143,8 +134,3 @@ def raised(x: Tensor, exponent: float | Tensor) -> Tensor:
     if torch.compiler.is_compiling():
         return torch.exp(torch.log(x) * exponent)  # half of ONNX Runtime's time for a power
     return x**exponent
-
-
-def cancels(rate: Tensor, z: Tensor) -> bool:
-    """True if 1 − e^(−rate·z) would lose digits anywhere, so that `expm1` is needed."""
-    return bool((rate * z <= _MIN_DEPTH).any())

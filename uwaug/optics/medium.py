@@ -34,7 +34,7 @@ from uwaug._support.checks import DOMAIN
 from uwaug._support.codec import from_plain, plain
 from uwaug._support.types import Array
 from uwaug.optics.camera import Camera, load_camera, require_covered, response_at
-from uwaug.optics.curves import FARTHEST, Curves, Sums, cancels, curves, mix, raised
+from uwaug.optics.curves import FARTHEST, Curves, Sums, curves, mix, raised
 from uwaug.optics.point_spread import IN_PIXELS, LENGTHS, Law, PointSpread
 from uwaug.optics.reduction import attenuations, default_bands, reduced, reduced_curves
 from uwaug.optics.scattering import Scattering
@@ -57,6 +57,9 @@ _OF_COEFFICIENTS = "coefficients: one rate per channel"
 _G_ROUNDING = 1e-6  # rounding by which G may exceed beta, in 1/m and as a share of it
 _MIN_LIGHT = 1e-30  # stands for the light of a channel that gets none
 _MIN_SHARE = 1e-6  # smallest share of a channel's light from which a rate is taken
+# Optical depth below which 1 − e^−x keeps less than 16 of the 24 bits of single precision, and the
+# veil is off by 2e-5 of itself.
+_MIN_DEPTH = 1 / 256
 _BRIGHT_VEIL = 1.05  # V(0) above which the notes say that the veil is brighter than a white plate
 _PIXELS = Law()
 _ABSENT = torch.zeros(())  # one number for all, of which a medium makes a tensor of the right shape
@@ -234,15 +237,15 @@ class Medium:
             lit, _ = reduced_curves(beta, G, measure(response, basis), scatter, tolerance)
             lit["veil_weights"] = b_scale * lit["veil_weights"]
             arrays |= {f"lamp_{name}": array for name, array in lit.items()}
-        numbers = {"b_mean": (sensor @ b).mean(), "scale": law.scale, "exponent": law.exponent}
-        arrays |= {name: np.array(number) for name, number in numbers.items()}
-        return Medium.of_arrays(arrays, law.law, note)
+        return Medium.of_arrays(arrays, float((sensor @ b).mean()), law, note)
 
     @staticmethod
-    def of_arrays(arrays: Mapping[str, Array], law: Law, note: str) -> "Medium":
+    def of_arrays(arrays: Mapping[str, Array], b: float, law: PointSpread, note: str) -> "Medium":
         """A medium of one row, which shares the arrays' memory; weights of matrices have 9 rows."""
+        numbers = {"b_mean": b, "scale": law.scale, "exponent": law.exponent}
+        arrays = {**arrays, **{name: np.array(number) for name, number in numbers.items()}}
         tensors: dict[str, Any] = {name: row_of(array) for name, array in arrays.items()}
-        medium = Medium(**tensors, law=law, notes=(note,))
+        medium = Medium(**tensors, law=law.law, notes=(note,))
         if len(arrays["direct_weights"]) == 9:  # else they are no memory of the tensors
             vars(medium)["_weights"] = Weights(*[arrays[name][None] for name in _OF_WEIGHTS])
         return medium
@@ -448,7 +451,8 @@ class Medium:
         if not checks.on_host(z):
             return True
         slowest = self.G.masked_fill(self.G <= 0, math.inf).amin(1)
-        return cancels(slowest, z.flatten(1).amin(1) if z.ndim > 1 else z)
+        nearest = z.flatten(1).amin(1) if z.ndim > 1 else z
+        return bool((slowest * nearest <= _MIN_DEPTH).any())
 
     def under_lamp(self) -> "Medium":
         """The water in the white light of a lamp, which does not come down from the surface.
@@ -500,13 +504,11 @@ class Medium:
         light J (Bx3xHxW) and its blur, at distances z (Bx1xHxW), m, finite, ≥ 0. T are curves there
         that stand for the medium's, as under lamps.
         """
-        if T is not None:
-            arriving = T.image(J, soft)
+        # `mix` loops over the rates, whose number a graph does not know
+        if T is None and self.is_spectral and not torch.compiler.is_compiling():
+            arriving = mix(self.sums(exact_at_lens=self._any_at_lens(z)), z, J, soft)
         else:
-            sums = self.sums(exact_at_lens=self._any_at_lens(z))
-            # `mix` loops over the rates, whose number a graph does not know
-            by_mix = self.is_spectral and not torch.compiler.is_compiling()
-            arriving = mix(sums, z, J, soft) if by_mix else curves(sums, z).image(J, soft)
+            arriving = (self.curves(z) if T is None else T).image(J, soft)
         for term in self.further_terms(z).values():
             arriving = arriving + term
         return arriving

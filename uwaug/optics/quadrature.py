@@ -103,12 +103,7 @@ def _jacobi(points: Array, weights: Array, max_size: int) -> Array:
 
 @compiled
 def _fit(
-    jacobi: Array,
-    count: int,
-    z: Array,
-    exact: Array,
-    positive: NDArray[np.bool_],
-    tolerance: float,
+    jacobi: Array, count: int, z: Array, exact: Array, positive: NDArray[np.bool_], tolerance: float
 ) -> Reduced:
     """Rates (K), weights (C, K) and error of a fit by `count` rates. `positive` marks curves that
     get no negative weights; an error beyond the tolerance is that of weights of any sign.

@@ -64,8 +64,7 @@ def wavelength_axis(values: ArrayLike) -> Array:
     axis = _frozen_array("wavelengths", values)
     if axis.ndim != 1 or axis.size == 0:
         raise ValueError(f"wavelengths must be 1-D and not empty, got shape {axis.shape}")
-    bad = np.count_nonzero(~np.isfinite(axis))
-    if bad:
+    if bad := np.count_nonzero(~np.isfinite(axis)):
         raise ValueError(f"wavelengths must be finite, got {bad} NaN or infinite values")
     drops = np.flatnonzero(np.diff(axis) <= 0)
     if drops.size:

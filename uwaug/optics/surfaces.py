@@ -90,9 +90,11 @@ def white(weights: Tensor) -> Tensor:
     return weights if weights.ndim == 3 else weights.sum(2)
 
 
-def as_matrices(weights: Tensor) -> Tensor:
-    """Weights of channels (Bx3xK) as diagonal matrices (Bx3x3xK); matrices stay as they are."""
-    if weights.ndim == 4:
+def as_matrices(weights: Tensor, axes: int = 1) -> Tensor:
+    """Weights of channels (Bx3x…, with so many further axes) as diagonal matrices (Bx3x3x…);
+    matrices stay as they are.
+    """
+    if weights.ndim == 3 + axes:
         return weights
     unit = torch.eye(3, dtype=weights.dtype, device=weights.device)
-    return unit[:, :, None] * weights[:, :, None]
+    return unit.reshape(3, 3, *[1] * axes) * weights[:, :, None]

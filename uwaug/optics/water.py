@@ -95,14 +95,8 @@ class Water(Spectra):
         if isinstance(provenance, str):
             raise TypeError(f"provenance must be a list of strings, got {provenance!r:.80}")
         axis = wavelength_axis(wavelengths)
-        vars(self).update(
-            wavelengths=axis,
-            a=spectrum("a", a, axis),
-            b=spectrum("b", b, axis),
-            kd=spectrum("kd", kd, axis),
-            name=name,
-            provenance=tuple(provenance),
-        )
+        rates = {key: spectrum(key, x, axis) for key, x in (("a", a), ("b", b), ("kd", kd))}
+        vars(self).update(wavelengths=axis, **rates, name=name, provenance=tuple(provenance))
         low = self.kd < (LEAST_LOSS - _LOSS_ROUNDING) * self.a
         if low.any():
             places = ", ".join(f"{nm:g}" for nm in axis[low][:8])

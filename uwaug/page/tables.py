@@ -3,11 +3,9 @@
 import base64
 from typing import Any
 
-import numpy as np
 import torch
 
 from uwaug._support.codec import to_plain
-from uwaug._support.types import Array
 from uwaug.blur.kernels import MARGIN, blur_kernel, enlarge_kernels, per_cell, shrink_kernels
 from uwaug.blur.plan import BlurPlan, place_line, plan_blur
 from uwaug.distance import cue
@@ -52,12 +50,13 @@ def tables() -> dict[str, Any]:
     """All numbers, as JSON holds them."""
     camera, axis = load_camera(RandomWater.camera), WAVELENGTHS.tobytes()
     law, (least, most) = PointSpread.calibrated(), LENGTHS
+    waters = {name: Water.jerlov(name).at(WAVELENGTHS) for name in JERLOV_TYPES}
     absorbed, scattered = constituents.pure_water(axis)
     at_1, exponents = constituents.phytoplankton()
     at_660, exponent = constituents.SCATTERED_BY_PHYTOPLANKTON
     stored = {
         "bands": WAVELENGTHS,
-        "waters": {name: _spectra(Water.jerlov(name).at(WAVELENGTHS)) for name in JERLOV_TYPES},
+        "waters": {name: {"a": x.a, "b": x.b, "kd": x.kd} for name, x in waters.items()},
         "words": IN_WORDS,
         "places": constituents.PLACES,
         "pure": {"a": absorbed, "b": scattered},
@@ -110,7 +109,7 @@ def tables() -> dict[str, Any]:
         "appearance": WATER_FEATURES,
         "cue": _cue(),
     }
-    plain: dict[str, Any] = to_plain(_rounded(stored))
+    plain: dict[str, Any] = _rounded(to_plain(stored))
     return plain
 
 
@@ -125,10 +124,6 @@ def _cue() -> dict[str, Any]:
         "pooled": cue.POOLED_PX,
         "pixels": cue.PIXELS,
     }
-
-
-def _spectra(water: Water) -> dict[str, Array]:
-    return {"a": water.a, "b": water.b, "kd": water.kd}
 
 
 def _plan(plan: BlurPlan) -> dict[str, Any]:
@@ -178,8 +173,6 @@ def _rounded(value: Any) -> Any:
     """Round numbers to eight digits, as many as single precision holds."""
     if isinstance(value, dict):
         return {name: _rounded(item) for name, item in value.items()}
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, list):
         return [_rounded(item) for item in value]
-    if isinstance(value, (torch.Tensor, np.ndarray)):
-        return _rounded(value.tolist())
     return float(f"{value:.8g}") if isinstance(value, float) else value

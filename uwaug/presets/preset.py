@@ -42,7 +42,14 @@ def load_preset(
     """
     given = {key: value for key, value in (("waters", water), ("camera", camera)) if value}
     if os.fspath(name_or_path).endswith(".json"):
-        return _of_fit(Path(name_or_path), given)
+        # fits load scipy.optimize, which a DataLoader worker can do without
+        from uwaug.fitting.result import load_fit
+
+        if given:
+            _refuse(Path(name_or_path), given)
+        fit = load_fit(Path(name_or_path))
+        development = RandomDevelopment(**RandomDevelopment.PLAIN, color_space=fit.color_space)
+        return RandomUnderwater(RandomWater(fit.medium, field=None), development=development)
     path = preset_path(name_or_path)
     tables = read_tables(path)
     waters = tables["water"].get("waters")
@@ -66,17 +73,6 @@ def read_tables(path: Path) -> dict[str, Any]:
         water = {"waters": water}
     named = {key: _beside(path, water[key]) for key in ("waters", "camera") if key in water}
     return {**tables, "water": {**water, **named}}
-
-
-def _of_fit(path: Path, given: dict[str, Any]) -> RandomUnderwater:
-    # fits load scipy.optimize, which a DataLoader worker can do without
-    from uwaug.fitting.result import load_fit
-
-    if given:
-        _refuse(path, given)
-    fit = load_fit(path)
-    camera = RandomDevelopment(**RandomDevelopment.PLAIN, color_space=fit.color_space)
-    return RandomUnderwater(RandomWater(fit.medium, field=None), development=camera)
 
 
 def _refuse(path: Path, given: dict[str, Any]) -> None:

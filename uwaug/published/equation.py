@@ -16,7 +16,7 @@ from uwaug.blur import plan_blur, varying_blur
 from uwaug.formation.colour import decoded, encoded, require_values
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.curves import FARTHEST
-from uwaug.optics.spectra import WAVELENGTHS
+from uwaug.optics.reduction import default_bands
 from uwaug.optics.water import Water, load_water
 
 Equation = TypeVar("Equation", bound=Callable[..., Tensor])
@@ -126,8 +126,7 @@ class BandedWater(NamedTuple):
     def of(water: AnyWater, camera: AnyCamera, like: Tensor) -> "BandedWater":
         """Bands from 400 to 700 nm in steps of 5, where the water has data."""
         water = load_water(water)
-        first, last = water.wavelengths[[0, -1]]
-        axis = WAVELENGTHS[(first <= WAVELENGTHS) & (last >= WAVELENGTHS)]
+        axis = default_bands(water)
         bands, response = water.at(axis), load_camera(camera).weights(axis).T
         arrays = (bands.a, bands.b, bands.beta, bands.kd, response)
         return BandedWater(*(torch.from_numpy(array.copy()).to(like) for array in arrays))
