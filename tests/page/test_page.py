@@ -221,7 +221,7 @@ def test_all_that_is_pressed_is_24_px_high_and_wide(shown: Shown) -> None:
 
 def test_a_real_picture_beside_and_a_draw_that_looks_like_it(shown: Shown) -> None:
     before = shown.picture()
-    shown.set(water="contents", chlorophyll=10, cdom=0.3, white_balance=0, contrast=0.15)
+    shown.set(water="contents", chlorophyll=8, cdom=0.8, white_balance=0, contrast=0.1)
     real = shown.picture()
     Image.fromarray(real.astype(np.uint8)).save("a reef.png")
     shown.tab.click("#reset")
