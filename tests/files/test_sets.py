@@ -249,3 +249,25 @@ def test_two_files_that_label_one_picture_are_refused(run: Run) -> None:
     code, _, err = run("degrade", "ds", *flags)
     assert code != 0
     assert "keypoints.json is one of two that label 0.png: give one" in " ".join(err.split())
+
+
+@pytest.mark.parametrize("name", ["valid.txt", "val.txt"])
+def test_lists_of_darknet_are_splits(name: str, run: Run) -> None:
+    for number in range(3):
+        save(f"ds/obj/f_{number}.png", pixels(H, W, seed=number))
+        write(f"ds/obj/f_{number}.txt", "0 .5 .5 .3 .3\n")
+    write("ds/obj.names", "fish\n")
+    write("ds/train.txt", "data/obj/f_0.png\ndata/obj/f_2.png\n")
+    write(f"ds/{name}", "data/obj/f_1.png\n")
+    degraded(run, "ds", "ds", "wet")
+    assert Path("wet/train.txt").read_text().count("f_") == 2
+    assert Path("wet/val.txt").read_text() == "./images/obj/f_1.png\n"
+
+
+@pytest.mark.parametrize("split", ["dev", "minival"])
+def test_a_folder_of_dev_is_validation(split: str, run: Run) -> None:
+    for place in ("train", split):
+        save(f"ds/images/{place}/a.png", pixels(H, W))
+        write(f"ds/labels/{place}/a.txt", "0 .5 .5 .3 .3\n")
+    degraded(run, "ds/images", "ds/labels", "wet")
+    assert Path("wet/val.txt").read_text() == f"./images/{split}/a.png\n"

@@ -18,7 +18,7 @@ _TIME = re.compile(r"(\d+\.\d{3,9}|\d{13}|\d{16}|\d{19})(?:\.[a-zA-Z]\w*)?")  # 
 
 def split_of(folders: Iterable[str]) -> str | None:
     """The split, "train", "val" or "test", that the first of the folders is named after, if any."""
-    words = (folder.lower() for folder in folders)
+    words = ({"dev": "val", "minival": "val"}.get(f.lower(), f.lower()) for f in folders)
     return next((match[1] for match in map(_SPLIT.fullmatch, words) if match), None)
 
 

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import cycle
+from itertools import cycle, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -77,7 +77,13 @@ class Yolo(Folder):
             got = f"{samples[0]}: objects of {min(counts)} numbers are polygons, or have keypoints"
             cure = "say kpt_shape: [how many, 2 or 3], or of polygons nothing but names"
             raise ValueError(f"{got}: {cure}, in {self.path / 'data.yaml'}")
-        return replace(self, description=classes, told=_told(source, classes, lists))
+        told = _told(source, classes, lists)
+        for folder, name in product(folders, ("valid.txt", "val.txt")):  # as Darknet has them
+            if (folder / name).is_file():
+                others = {split: f"{split}.txt" for split in ("train", "test")}
+                stated = {k: file for k, file in others.items() if (folder / file).is_file()}
+                return replace(self, description=classes | stated | {"val": name}, told=told)
+        return replace(self, description=classes, told=told)
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         from uwaug._support.pixels import of_box, of_polygons
