@@ -40,9 +40,10 @@ class MadeUp(Placed):
     """Distances made up from each picture alone, drawn anew each time: no maps are needed.
 
     A small network in the package guesses what is nearer than what, and where open water is, such
-    as sky. An exponent, a smooth field, and the presence of open water (in three of four),
-    behind the far end, are drawn. That teaches that water hides far things more than near ones.
-    It is no truth to restore or measure by.
+    as sky. An exponent, a smooth field, and the presence of open water (in three of four) are
+    drawn. Open water lies at the far end, where the water hides it; it is endless where near and
+    far are given, or the water is brought to a contrast. That teaches that water hides far things
+    more than near ones. It is no truth to restore or measure by.
 
     Attributes:
         near, far: see `Placed`; near above 0.

@@ -18,7 +18,6 @@ _START_MARGIN = 1e-4  # share of a number's range between a start and the bounds
 _MAX_LOGIT = 16.0  # logarithm of the odds; e^−16 of a number's range is its end
 _BOUND_MARGIN = 1e-6  # share of a number's range, below which it is at its bound
 _MIN_CHANGE = 1e-7  # relative change of cost or numbers, below which a fit ends
-_CHANGES = ("ftol", "xtol", "gtol")  # SciPy's names for it
 # Grid of a guess: optical depths β·z at the reference distance, and G/β.
 _OPTICAL_DEPTHS = np.geomspace(0.05, 12.0, 24)
 _G_OVER_BETA = (0.1, 0.3, 0.6, 1.0)
@@ -95,7 +94,9 @@ def solve(objective: Objective[M], start: Array, max_steps: int = 60) -> Solutio
         loss="soft_l1",
         f_scale=ROBUST,
         max_nfev=max_steps,
-        **dict.fromkeys(_CHANGES, _MIN_CHANGE),
+        ftol=_MIN_CHANGE,
+        xtol=_MIN_CHANGE,
+        gtol=_MIN_CHANGE,
     )
     # the method stays inside, if only just
     margin = _BOUND_MARGIN * (high - low)
@@ -132,7 +133,9 @@ def logit_prefit(objective: Objective[M], start: Array) -> Array:
         loss="soft_l1",
         f_scale=ROBUST,
         max_nfev=40,
-        **dict.fromkeys(_CHANGES, 1e-5),
+        ftol=1e-5,
+        xtol=1e-5,
+        gtol=1e-5,
     )
     return theta(result.x)
 

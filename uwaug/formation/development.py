@@ -49,8 +49,8 @@ BURNT = 0.02  # share of the metered pixels that may burn out
 # CIE chroma at L* = 0, and more of it by L*: mean colours of 97 % of 342 photographs stay below
 CHROMA = (30.0, 0.4)
 # from linear sRGB to X/X_n, Y, Z/Z_n of D65 (IEC 61966-2-1)
-_XYZ = ((0.4339, 0.3762, 0.1899), LUMINANCE, (0.0178, 0.1095, 0.8727))
-_LEAST_LIGHT = 1e-4  # of a channel, as cube roots have no slope at 0
+XYZ = ((0.4339, 0.3762, 0.1899), LUMINANCE, (0.0178, 0.1095, 0.8727))
+LEAST_LIGHT = 1e-4  # of a channel, as cube roots have no slope at 0
 _BITS = 20
 TURN = 1 << _BITS  # a whole side, in the unit of `STEPS`
 # Steps between metered pixels along rows and columns: 1/x and 1/x² with x³ = x + 1 (Roberts 2018,
@@ -271,12 +271,12 @@ def _balance(means: Tensor, share: float | Tensor) -> Tensor:
 
 def _held(saturation: Any, mean: Tensor) -> Tensor:
     """Saturation (B, 1) by which the mean light (B, 3) has no more than `CHROMA`."""
-    grey, to_xyz = _luminance(mean), mean.new_tensor(_XYZ).mT
+    grey, to_xyz = _luminance(mean), mean.new_tensor(XYZ).mT
     held: Tensor = grey.new_zeros(grey.shape) + saturation
     for _ in range(2):
-        vivid = (grey + held * (mean - grey)).clamp(min=_LEAST_LIGHT)
+        vivid = (grey + held * (mean - grey)).clamp(min=LEAST_LIGHT)
         x, y, z = ((vivid @ to_xyz) ** (1 / 3))[..., None].unbind(1)
-        chroma = ((500 * (x - y)) ** 2 + (200 * (y - z)) ** 2 + _LEAST_LIGHT).sqrt()
+        chroma = ((500 * (x - y)) ** 2 + (200 * (y - z)) ** 2 + LEAST_LIGHT).sqrt()
         most = CHROMA[0] + CHROMA[1] * (116 * y - 16)
         held = held.minimum(held * most / chroma)
     return held
@@ -313,9 +313,9 @@ def gain_at(
         mean = gains * means[2]
         grey = (mean * luminance).sum()
         for _ in range(2):
-            vivid = np.maximum(grey + saturation * (mean - grey), _LEAST_LIGHT)
-            x, y, z = (np.array(_XYZ) * vivid).sum(1) ** (1 / 3)
-            chroma = math.sqrt((500 * (x - y)) ** 2 + (200 * (y - z)) ** 2 + _LEAST_LIGHT)
+            vivid = np.maximum(grey + saturation * (mean - grey), LEAST_LIGHT)
+            x, y, z = (np.array(XYZ) * vivid).sum(1) ** (1 / 3)
+            chroma = math.sqrt((500 * (x - y)) ** 2 + (200 * (y - z)) ** 2 + LEAST_LIGHT)
             most = CHROMA[0] + CHROMA[1] * (116 * y - 16)
             saturation *= min(most / chroma, 1.0)
     matrix = np.empty((3, 3))

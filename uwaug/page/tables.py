@@ -95,8 +95,8 @@ def tables() -> dict[str, Any]:
             "most": development.MOST,
             "burnt": development.BURNT,
             "chroma": development.CHROMA,
-            "xyz": development._XYZ,
-            "leastLight": development._LEAST_LIGHT,
+            "xyz": development.XYZ,
+            "leastLight": development.LEAST_LIGHT,
         },
         "tone": {
             "from": development.GAMUT_FROM,

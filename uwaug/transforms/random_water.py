@@ -115,8 +115,8 @@ class RandomWater(Noun):
         waters: one or several of what `uwaug.load_water` takes; `Constituents` (or their text, such
             as "chlorophyll=1:20,cdom=.1:1"), whose contents are drawn anew for each picture,
             uniformly in their logarithm; and a `Medium`: visibility, depth, g, mu, blur, camera and
-            its matrix do not apply to it. Picked with equal weight; one that
-            is given twice counts twice. None for `WATERS`.
+            its matrix do not apply to it. Picked with equal weight; one that is given twice counts
+            twice. None for `WATERS`.
         visibility: m at which 2 % of an object's contrast of luminance are left by daylight, see
             `Water.visibility`: what is in each water is scaled to it. None: waters stay as they
             are; those of `WATERS`, where `waters` is None, let one see 1.8 to 14 times the median

@@ -141,16 +141,17 @@ def scenes_of(
         return Scenes(image, pictures)
     with checks.full_precision(pictures):
         applied = [draws[i] for i in chosen]
-        # scenes without a size are placed in their water
-        waters = [] if source.has_size else [water.water(d.water, PLACED_M) for d in applied]
-        placed = [
-            # the veil grows on behind the far end, which would show the rim of open water; but it
-            # must be endless where the water may still become clearer
-            source.placed(draw.distance, partial(metres_for, of_it))
-            | {"hides": "contrast" not in draw.water}
-            for draw, (of_it, _) in zip(applied, waters, strict=False)
-        ]
-        metres = _metres_of(source, pictures, maps, draws, placed, space, view)
+        waters, numbers = [], [draw.distance for draw in applied]
+        if not source.has_size:  # scenes are placed in their water
+            waters = [water.water(draw.water, PLACED_M) for draw in applied]
+            numbers = [
+                # the veil grows on behind the far end, which would show the rim of open water; but
+                # it must be endless where the water may still become clearer
+                source.placed(draw.distance, partial(metres_for, of_it))
+                | {"hides": "contrast" not in draw.water}
+                for draw, (of_it, _) in zip(applied, waters, strict=True)
+            ]
+        metres = _metres_of(source, pictures, maps, draws, numbers, space, view)
         submerged = pictures if len(chosen) == len(pictures) else pictures[chosen]
         metered = nouns["development"].metered
         measurements = measure(submerged, metres, metered=metered)
@@ -200,12 +201,12 @@ def _metres_of(
     pictures: Tensor,
     maps: Sequence[Tensor | None],
     draws: Sequence[Draw],
-    placed: Sequence[Drawn],
+    numbers: Sequence[Drawn],
     color_space: ColorSpace,
     view: View,
 ) -> Tensor:
-    """Distances (Nx1xHxW, m) of the pictures (Bx3xHxW) to degrade; of `Metres()` as they come. The
-    draws of their distances are `placed`, if scenes are.
+    """Distances (Nx1xHxW, m) of the pictures (Bx3xHxW) to degrade, by the source's `numbers` (N) of
+    each; of `Metres()` as they come.
     """
     results = list[Tensor]()
     for i, (metres, picture, draw) in enumerate(zip(maps, pictures, draws, strict=True)):
@@ -220,8 +221,7 @@ def _metres_of(
                 srgb = linear_to_srgb(light.clamp(0, 1))
             with naming(i, len(pictures)):
                 rays = view.planar(picture.shape[-1])
-                drawn = placed[len(results)] if placed else draw.distance
-                metres = source.metres(metres, srgb, drawn, **rays)
+                metres = source.metres(metres, srgb, numbers[len(results)], **rays)
         if metres.dtype.itemsize < 4:
             metres = metres.float()
         results.append(brought_to(picture.shape[-2:], metres))
