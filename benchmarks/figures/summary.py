@@ -238,7 +238,8 @@ def _files(found: dict[str, Any]) -> str:
     for name, row in found.items():
         states = row["states"]
         told = 100 * row["numbers"] / sum(states.values())
-        cells.append(f"{row['covered_percent']:.0f} % from {name} ({told:.0f} % are told)")
+        held, shown = f"{row['covered_percent']:.0f} % from {name}", f"{told:.0f} % of the numbers"
+        cells.append(f"{held} ({shown} are identified)")
     runs = next(iter(found.values()))["runs"]
     return (
         f"Of {runs} smaller pictures (125×185, .5 % noise, the right model), both from files, "
