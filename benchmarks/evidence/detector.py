@@ -20,7 +20,6 @@ import time
 from collections.abc import Callable, Sequence
 from itertools import product
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import albumentations
@@ -32,7 +31,7 @@ from torch.nn.functional import affine_grid, grid_sample, interpolate
 
 from benchmarks.evidence.arms import ARMS, DEFAULTS, SHOWN, Arm, tensors
 from benchmarks.evidence.boxes import average_precisions, loss_of, matched
-from benchmarks.evidence.net import compared, resampled_units
+from benchmarks.evidence.net import compared, keeper, resampled_units
 from benchmarks.evidence.tasks import Array, Pool, made_up
 from benchmarks.harness import save
 
@@ -241,11 +240,11 @@ def main(
 ) -> dict[str, Any]:
     """Tune, score, save and print. What a net finds is kept in `answered`, and asked once."""
     torch.set_num_threads(1)
-    with TemporaryDirectory() as temporary:
+    with keeper(answered) as folder:
         bench = Bench.of(kit)
         answers = {UNTUNED: [bench.found(bench.yolox.load())]}
         for arm, seed in product(arms, range(nets)):
-            path = (answered or Path(temporary)) / f"{arm}, {seed}.npz"
+            path = folder / f"{arm}, {seed}.npz"
             if not path.exists():
                 found = asked(bench, arm, RATE, seed)
                 np.savez(path, **{name.replace("/", " "): rows for name, rows in found.items()})

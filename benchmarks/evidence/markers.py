@@ -14,7 +14,6 @@ import json
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
@@ -28,7 +27,7 @@ from scipy.special import expit
 import uwaug
 from benchmarks.evidence import readers
 from benchmarks.evidence.detector import NAMES, module, parser
-from benchmarks.evidence.net import resampled_units
+from benchmarks.evidence.net import keeper, resampled_units
 from benchmarks.evidence.readers import Tag
 from benchmarks.evidence.tasks import Array
 from benchmarks.figures.charts import FIGURES
@@ -184,9 +183,8 @@ def main(
         for place, (frame, tags) in enumerate(zip(frames, of_frames, strict=True))
         if place not in places and tags
     ]
-    with TemporaryDirectory() as temporary:
-        keeper = answered or Path(temporary)
-        read = readers.measured(kit, (air, other), shown, unseen, arms, nets, keeper)
+    with keeper(answered) as answers:
+        read = readers.measured(kit, (air, other), shown, unseen, arms, nets, answers)
     results = {"scenes": SCENES, "contrasts": CONTRASTS, "curves": curves, "readers": read}
     save("markers", results)
     drawn(curves)

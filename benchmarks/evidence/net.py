@@ -1,6 +1,9 @@
 """A small net, trained on the pictures of an arm, and its scores with their intervals."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,15 @@ WIDTHS = (16, 32, 48, 64)
 
 BATCH = 64
 RESAMPLES = 1000
+
+
+@contextmanager
+def keeper(answered: Path | None) -> Iterator[Path]:
+    """The folder that keeps what nets answered, for a run that goes on; or one for this run."""
+    with TemporaryDirectory() as temporary:
+        folder = answered or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        yield folder
 
 
 def net(classes: int, places: int = 1) -> nn.Module:

@@ -5,7 +5,7 @@ arms. A ball has a distance of its own, `MadeUp` gives the rest; half of the bal
 water, a quarter before a horizon, a quarter before things.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,8 +21,8 @@ COLOURS = ("red", "yellow", "green")
 HUES = {"red": (-0.03, 0.03), "yellow": (0.12, 0.17), "green": (0.27, 0.42)}
 """Of the paint, of 0…1."""
 
-BY_EYE = dict.fromkeys(COLOURS, ((0.6, 1.0), (0.45, 1.0)))
-"""Saturation and value of each paint, of 0…1."""
+SATURATION, VALUE = (0.6, 1.0), (0.45, 1.0)
+"""Of each paint, of 0…1."""
 
 BALL_DISTANCES = (0.8, 8.0)
 """m."""
@@ -45,10 +45,9 @@ def painted_balls(
     photographs: Sequence[Array],
     count: int,
     rng: np.random.Generator,
-    paints: Mapping[str, tuple[Any, Any]] = BY_EYE,
-) -> tuple[Pool, Tensor]:
-    """Scenes of one ball each, and how far pixels are from its middle, in its radii (Nx48x48)."""
-    images, distances, radii = [], [], []
+) -> Pool:
+    """Scenes of one ball each."""
+    images, distances = [], []
     labels = np.arange(count) % len(COLOURS)
     for label in labels:
         behind = square_of(photographs[rng.integers(len(photographs))], rng)
@@ -57,16 +56,14 @@ def painted_balls(
         radius, (middle_y, middle_x) = rng.uniform(9, 14), SIDE / 2 + rng.uniform(-4, 4, 2)
         right, down = (x - middle_x) / radius, (y - middle_y) / radius
         from_middle = np.hypot(right, down)
-        ball = _shaded(_paint(COLOURS[label], paints, rng), right, down, rng)
+        ball = _shaded(_paint(COLOURS[label], rng), right, down, rng)
         cover = np.clip((1 - from_middle) * radius + 0.5, 0, 1)
         images.append(cover[..., None] * ball + (1 - cover[..., None]) * behind)
         around = _distances_behind(behind, far, y, rng)
         distances.append(np.where(from_middle < 1, far, around))
-        radii.append(from_middle)
     pictures = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).float()
     metres = torch.from_numpy(np.stack(distances)).float()[:, None]
-    pool = Pool(pictures.contiguous(), metres, torch.from_numpy(labels))
-    return pool, torch.from_numpy(np.stack(radii))
+    return Pool(pictures.contiguous(), metres, torch.from_numpy(labels))
 
 
 def square_of(photograph: Array, rng: np.random.Generator) -> Array:
@@ -78,12 +75,12 @@ def square_of(photograph: Array, rng: np.random.Generator) -> Array:
     return square.reshape(SIDE, step, SIDE, step, 3).mean((1, 3))
 
 
-def _paint(colour: str, paints: Mapping[str, Any], rng: np.random.Generator) -> Array:
+def _paint(colour: str, rng: np.random.Generator) -> Array:
     """Linear light that a paint sends back, of the light that falls on it."""
     from skimage.color import hsv2rgb
 
     hue = rng.uniform(*HUES[colour]) % 1
-    srgb = hsv2rgb([hue, *(rng.uniform(*ends) for ends in paints[colour])])
+    srgb = hsv2rgb([hue, rng.uniform(*SATURATION), rng.uniform(*VALUE)])
     return np.asarray(srgb) ** 2.2
 
 

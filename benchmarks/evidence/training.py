@@ -1,7 +1,6 @@
 """Does training with uwaug help on real underwater pictures? Two tasks with a truth.
 
     python -m benchmarks.evidence --data FOLDER     all arms, three nets each: hours on one core
-    python -m benchmarks.evidence --colours         painted balls in draws, beside real buoys
     python -m benchmarks.evidence --quick           a little of both, on made-up pictures
 
 *Colour*: which of three colours has a buoy; trained on painted balls in photographs of land.
@@ -15,15 +14,14 @@ Some arms are shown eight pictures of the test set, without labels, and so have 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
-from benchmarks.evidence import colours, sets, stand_ins, tasks
+from benchmarks.evidence import sets, stand_ins, tasks
 from benchmarks.evidence.arms import ARMS, DEFAULTS, SHOWN, Arm, degraded
-from benchmarks.evidence.net import answers, score, table, trained
+from benchmarks.evidence.net import answers, keeper, score, table, trained
 from benchmarks.evidence.sets import Sets
 from benchmarks.evidence.tasks import Array, Pool
 from benchmarks.harness import save
@@ -62,12 +60,11 @@ def main(
     if data is None and not quick:
         print("skipped: real sets are needed, python -m benchmarks.evidence --data FOLDER")
         return {}
-    with TemporaryDirectory() as folder:
+    with keeper(answered) as folder:
         if data is None:
             print("MADE-UP PICTURES: these numbers mean nothing but that everything runs")
-            results = measured(stand_ins.made(Path(folder)), QUICK, arms, Path(folder))
-            return {**results, "colours": colours.main(48, ["defaults", "mu None"])}
-        results = measured(sets.load(data), size, arms, answered or Path(folder))
+            return measured(stand_ins.made(folder), QUICK, arms, folder)
+        results = measured(sets.load(data), size, arms, folder)
     save("evidence", {**size._asdict(), **results})
     return results
 
@@ -103,7 +100,7 @@ def measured(real: Sets, size: Size, arms: Sequence[str], answered: Path) -> dic
 def pool_of(task: str, real: Sets, balls: int, rng: np.random.Generator) -> Pool:
     """What nets of a task see before water."""
     if task == "colour":
-        return tasks.painted_balls(real.land, balls, rng)[0]
+        return tasks.painted_balls(real.land, balls, rng)
     aquaria = real.crops["aquaria"]
     return tasks.fish_pool(aquaria.images, aquaria.labels, rng)
 
@@ -152,7 +149,6 @@ def command() -> None:
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument("--quick", action="store_true", help="a smoke test, nothing written")
-    parser.add_argument("--colours", action="store_true", help="balls in draws, beside real buoys")
     parser.add_argument("--data", type=Path, help="a kit, or the folder of the public sets")
     parser.add_argument("--nets", type=int, default=FULL.nets, help="of each arm")
     names = (*ARMS, *SHOWN)
@@ -163,11 +159,8 @@ def command() -> None:
     meaning = "a folder that keeps what nets answered: a run that was stopped goes on"
     parser.add_argument("--answered", type=Path, help=meaning)
     given = parser.parse_args()
-    if given.colours:
-        torch.set_num_threads(1)
-        colours.main()
-    elif given.quick or given.data:
+    if given.quick or given.data:
         size = FULL._replace(nets=given.nets)
         main(given.quick, given.data, size, given.arms, given.answered)
     else:
-        parser.error("say --data FOLDER (where the sets are), or --colours, or --quick")
+        parser.error("say --data FOLDER (where the sets are), or --quick")

@@ -208,6 +208,7 @@ def test_a_picture_is_blank_where_most_of_it_is_lost(shares: Any, blank: list[st
     for number, share in enumerate(shares):
         z = np.full((H, W), 0.3, np.float32)
         z[:, : round(share * W)] = 50
+        z[: H // 2] = np.inf  # open water, of which nothing can be lost
         save(f"depth/{number}.npy", z)
     summary = degrade(Recipe(RandomUnderwater("9C", light=None)), items()[:2], "out")
     assert [r.lost for r in summary.results] == pytest.approx(list(shares), abs=0.03)

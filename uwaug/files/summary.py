@@ -29,7 +29,7 @@ class Result(NamedTuple):
     place: str  # path of the written file below the folder of the run
     status: Literal["written", "skipped", "failed"]  # skipped, as the same was made before
     contrast: float | None = None  # mean share that is left, 0…1; None if it failed, and for maps
-    lost: float | None = None  # share of the pixels with less than 3 % of it, likewise
+    lost: float | None = None  # share of the pixels with less than 3 % of it, but for open water
     objects: Sequence[Judged] = ()  # that have labels
     odd: str = ""  # a sentence on a water that is hardly the one that was named
     asked: Sequence[str] = ()  # keys of `ASKED` that apply

@@ -26,6 +26,7 @@ from uwaug.files.record import digest, read_record, record_of, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, run, versions
 from uwaug.files.summary import Summary
 from uwaug.formation.contrast import FAINT
+from uwaug.optics.curves import FARTHEST
 from uwaug.transforms.truth import MAPS, Truth
 
 _CONTRAST_ROWS = 128  # rows of the short side, about, that give the mean contrast of a picture
@@ -203,6 +204,8 @@ class _Underwater(Work):
         step = max(1, min(image.shape[1:]) // _CONTRAST_ROWS) if labels is None else 1
         scenes = transform.scenes(image, z, params)
         degraded, contrast = scenes.formed(), scenes.contrast_map(step)
+        solid = scenes.metres[:, 0, ::step, ::step] < FARTHEST  # open water hides nothing
+        faint = (contrast < FAINT)[: len(solid)][solid]  # none of a picture that is left alone
         clarity = scenes.clarity(0)
         truth = None if self.recipe.maps is None else scenes.truth()
         objects = []
@@ -211,7 +214,7 @@ class _Underwater(Work):
         return (degraded, truth), {
             "params": params,
             "contrast": round(float(contrast.double().mean()), 4),
-            "lost": round(float((contrast < FAINT).double().mean()), 4),
+            "lost": round(float(faint.sum()) / max(faint.numel(), 1), 4),
             "clarity": clarity and clarity.record(),
             "odd": clarity.odd if clarity else "",
             "truth": truth and truth.record(),
