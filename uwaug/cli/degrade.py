@@ -229,7 +229,7 @@ def degrade(
                     progress=progress,
                 )
             summaries.append(summary)
-            _print_summary(summary, out / folder, labels)
+            _print_summary(summary, out / folder, labels, has_maps=distance is not None)
     end_if_failed([failure for summary in summaries for failure in summary.failures])
 
 
@@ -244,7 +244,7 @@ def _grades(severity: str) -> dict[str, float | None]:
     return {"": SEVERITIES[int(severity)]}
 
 
-def _print_summary(summary: "Summary", out: Path, labels: str | None) -> None:
+def _print_summary(summary: "Summary", out: Path, labels: str | None, has_maps: bool) -> None:
     print_counts(summary, "pictures", out)
     if labels is not None:
         count, kept = summary.objects
@@ -252,7 +252,8 @@ def _print_summary(summary: "Summary", out: Path, labels: str | None) -> None:
     for note in summary.notes:
         print(note)
     if blank := summary.blank:
-        cure = "are distances in another unit? If not, take clearer water by --contrast"
+        cure = "are distances in another unit? If not, " if has_maps else ""
+        cure += "take clearer water by --contrast"
         print(f"most of the scene is lost in {len(blank)} of them, such as {blank[0]}: {cure}")
     if summary.odd:
         print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}")
