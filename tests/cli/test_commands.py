@@ -507,9 +507,11 @@ def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
 
 def test_waters_of_ones_own_are_listed_and_drawn(folder, run):
     (folder / "site.csv").write_text("nm;a;b;kd\n400;0,1;0,2;0,1\n700;0,6;0,1;0,7\n")
-    code, out, _ = run("waters", "site.csv", "chlorophyll=5", "--plot", "waters.png")
+    (folder / "green.csv").write_text("nm,a,b,kd\n450,.1,.2,.1\n640,.6,.1,.7\n")
+    code, out, _ = run("waters", "site.csv", "green.csv", "chlorophyll=5", "--plot", "waters.png")
     assert code == 0
     assert "site, yours" in out
+    assert "green, yours" in out
     assert (folder / "waters.png").stat().st_size > 0
     assert run("waters", "--plot", "waters.png")[0] == 2  # it is there
     code, _, err = run("waters", "nowhere.csv")

@@ -127,6 +127,7 @@ def test_a_rig_is_metered_on_one_camera(tmp_path: Path, monkeypatch: pytest.Monk
         ("dive_2_{}.png", [0, 1, 2, 40]),
         ("l/{}.png", [0, 1, 2, 40]),
         ("17000000{}.000.png", [0, 1, 2, 40]),  # seconds
+        ("17000000{0}.{0}.png", [0, 1, 2, 40]),
         ("{0}-of-{0}.png", [0, 1, 2, 3]),  # two numbers
     ],
 )

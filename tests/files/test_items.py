@@ -64,6 +64,7 @@ FOUND: list[tuple[str, str, str | None, dict[str, str]]] = [
     (f"d/{NFD}.png m/{NFC}.npy", "d", "m", {f"{NFD}.png": f"m/{NFC}.npy"}),
     (f"d/{NFC}/1.png m/{NFD}/1.npy", "d", "m", {f"{NFC}/1.png": f"m/{NFD}/1.npy"}),
     ("d/a+b.png m/a%2Bb.npy", "d", "m", {"a+b.png": "m/a%2Bb.npy"}),
+    ("d/%E8.png d/%E9.png m/%E9.npy", "d", "m", {"%E8.png": "m/%E8", "%E9.png": "m/%E9.npy"}),
     # then names with a mark
     ("d/1.png m/1_depth.npy", "d", "m", {"1.png": "m/1_depth.npy"}),
     ("d/1.png m/1_depth.npy m/1.png", "d", "m", {"1.png": "m/1.png"}),
@@ -94,6 +95,9 @@ def test_lists_of_other_scenes_with_the_same_names() -> None:
     touch("s1/d/1.png s1/d/2.png s0/m/1.png s1/m/2.png scene_01/d/1.png scene_02/m/1.png")
     Path("a.txt").write_text("s1/d/2.png s1/m/2.png\ns0/d/1.png s0/m/1.png")
     assert names("s1/d", "a.txt") == {"1.png": "a.txt/1.png", "2.png": "s1/m/2.png"}
+    touch("s0/d/9.png s0/m/2.png")
+    Path("s0/of_all.txt").write_text("s1/d/2.png s1/m/2.png")  # from above the list
+    assert names("s1/d", "s0/of_all.txt")["2.png"] == "s1/m/2.png"
     Path("a.txt").write_text("scene_02/d/1.png scene_02/m/1.png")
     with pytest.raises(ValueError, match=r"no line of a.txt has it and a map"):
         find_items("scene_01/d", "a.txt")
@@ -174,6 +178,13 @@ def test_links_to_folders_are_followed() -> None:
     Path("store/train/up").symlink_to(Path("ds").absolute())
     Path("store/train/round").symlink_to(Path("ds/images").absolute())
     assert list(names("ds")) == there
+
+
+def test_a_map_is_of_one_picture() -> None:
+    touch("d/1.JPG d/1.png d/2.png m/1.npy m/2.npy")
+    with pytest.raises(ValueError, match=r"m/1\.npy may be of d/1\.JPG or d/1\.png"):
+        find_items("d", "m")
+    assert len(names("d", "m/2.npy")) == 3  # one for all
 
 
 def test_nothing_is_found() -> None:

@@ -430,7 +430,7 @@ def test_trainers_find_labels(tmp_path: Path, name: str, label: str, place: str)
 
 
 CRABS = ["fish", "crab: red"]
-NO_VAL = "data.yaml has no val: add dry pictures to validate on, as val: /ds/images/val"
+NO_VAL = "data.yaml has no val: add a folder of dry pictures to validate on"
 KEPT = """\
 # some of COCO
 path: ../datasets/reef  # root
@@ -837,6 +837,26 @@ def test_voc_of_variants_and_lists(tmp_path: Path) -> None:
 
 
 # Masks
+
+
+@pytest.mark.parametrize("ending", ["png", "bmp", "tif"])
+def test_masks_of_one_bit_are_black_and_white(tmp_path: Path, ending: str) -> None:
+    values = np.zeros(SIZE, bool)
+    values[:, 0] = True
+    (tmp_path / "masks").mkdir()
+    Image.fromarray(values).save(tmp_path / f"masks/1.{ending}")
+    (objects,) = labelled(tmp_path / "masks", ["1.jpg"], tmp_path / "out")
+    assert objects == [(255, 0.9, True)]
+    with Image.open(tmp_path / "out/labels/1.png") as written:
+        assert np.array_equal(written.convert("L"), 255 * values)
+
+
+def test_masks_of_several_pages_are_refused(tmp_path: Path) -> None:
+    pages = [Image.fromarray(np.full(SIZE, value, np.uint8)) for value in (1, 2)]
+    (tmp_path / "masks").mkdir()
+    pages[0].save(tmp_path / "masks/1.tif", save_all=True, append_images=pages[1:])
+    with pytest.raises(ValueError, match="expected one mask, got 2"):
+        labelled(tmp_path / "masks", ["1.jpg"], tmp_path / "out")
 
 
 @pytest.mark.parametrize("dtype, palette", [("uint8", False), ("uint8", True), ("uint16", False)])

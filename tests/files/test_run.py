@@ -454,7 +454,7 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
 @pytest.mark.parametrize(
     "options, maps, out, message",
     [
-        ({"labels": "labels"}, "depth", "out", "would both be written to .*labels/0"),
+        ({"labels": "labels"}, "depth/0.npy", "out", "would both be written to .*labels/0"),
         ({"labels": "other"}, "depth", "out", "labels belong to no picture: other .*other/0.txt"),
         ({"labels": "coco.json"}, "depth", "out", "belong to no .* no image has the file_name 0"),
         ({}, None, "out", "distance is missing: 0.png has no file of it"),
@@ -488,7 +488,7 @@ def test_refusals(options: dict[str, Any], maps: str | None, out: str, message: 
 def test_two_results_in_one_file_are_refused() -> None:
     save("all/0.tif", pixels(H, W))
     with pytest.raises(ValueError, match=r"would both be written to .*maps/0_\w+\.npy: rename one"):
-        degrade(Recipe(WATER, maps="npy"), find_items("all", "depth"), "out")
+        degrade(Recipe(WATER, maps="npy"), find_items("all", "depth/0.npy"), "out")
     save("all/sheet.jpg", pixels(H, W))
     with pytest.raises(ValueError, match=r"--sheet and all/sheet\.jpg would both be written"):
         degrade(Recipe(RandomUnderwater(distance=2)), find_items("all"), "out", sheet=True)

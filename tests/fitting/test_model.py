@@ -20,7 +20,7 @@ def spectral(known, surfaces="grey"):
     pictures = Pictures.of(*known, "srgb")
     camera, law = load_camera("Nikon 5100 (NPL)"), uwaug.PointSpread.paper()
     water = uwaug.Water.jerlov("3C")
-    model = TypeModel(water, camera, surfaces, 0.2, law, WIDE, None, pictures.geometry)
+    model = TypeModel(water, camera, surfaces, 0.2, None, law, WIDE, None, pictures.geometry)
     return Objective(model, pictures.sample(["gaussian"], 600, 0))
 
 

@@ -76,6 +76,13 @@ def test_what_is_known_is_given(two: None) -> None:
     assert fit.medium.law == uwaug.PointSpread.paper().law
 
 
+def test_a_phase_function_of_ones_own_is_given(two: None) -> None:
+    own = {"g": 0.03, "mu": 0.02, "surfaces": "grey"}
+    fit = fit_water(*seen(medium_of("3C", 2.0, **own)), pixels=500, **own)
+    assert fit.model == "3C"
+    assert fit.parameters["contents"].value == pytest.approx(1, rel=0.03)
+
+
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
 def test_surfaces_are_told_and_depth_is_in_its_interval(two: None, surfaces: Surfaces) -> None:
     """Of a picture as `uwaug degrade --plain` makes it, by the default tolerance, in 8 bits."""

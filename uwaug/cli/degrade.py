@@ -97,7 +97,11 @@ def degrade(
     view: ViewAngle = None,
     focal_px: FocalPx = None,
     plain: Annotated[
-        bool, typer.Option("--plain", help="Nothing is random but what you name.")
+        bool,
+        typer.Option(
+            "--plain",
+            help="Nothing is random but what you name: even water, grey surfaces, depth 0.",
+        ),
     ] = False,
     set_: Annotated[
         list[str] | None,

@@ -98,10 +98,9 @@ def waters(
     from uwaug._support.extras import require
     from uwaug.optics.constituents import PLACES as CONTENTS
     from uwaug.optics.jerlov import IN_WORDS
-    from uwaug.optics.spectra import WAVELENGTHS
+    from uwaug.optics.reduction import default_bands
 
     camera = load_camera("Nikon 5100 (NPL)")
-    weights = camera.weights(WAVELENGTHS)
     means = f"view: visibility; β, K_d: red, green, blue of the {camera.name}"
     table = Table(caption=means, caption_justify="left")
     table.add_column("water", no_wrap=True)
@@ -110,7 +109,8 @@ def waters(
     with reported_errors():
         waters = [load_water(name) for name in names]
     for water in waters:
-        bands = water.at(WAVELENGTHS)
+        bands = water.at(default_bands(water))
+        weights = camera.weights(bands.wavelengths)
         means_of = [" ".join(f"{x:.3f}" for x in rate @ weights) for rate in (bands.beta, bands.kd)]
         words = IN_WORDS.get(water.name, "see below" if water.name in PLACES else "yours")
         table.add_row(f"{water.name}, {words}", f"{water.visibility():.1f}", *means_of)

@@ -132,6 +132,8 @@ class CocoSplits(Coco):
                     raise ValueError(f"{file} is one of two that label {min(twice)}: give one")
                 of |= labels.of
                 splits[file.relative_to(path).as_posix()] = replace(labels, is_split=True)
+            elif split_of(re.split(r"[\W_]+", str(file.relative_to(path).with_suffix("")))):
+                raise ValueError(f"{file} {labels}")
         return cls(path, of, splits=splits) if of else "; ".join(map(str, [*opened.values()][:1]))
 
     def only(self, name: str) -> Self:

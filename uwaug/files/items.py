@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from uwaug._support.atomic import read_text
 from uwaug.files.folder import manifest_of
-from uwaug.files.paths import Files, aliases, matched, time_of
+from uwaug.files.paths import Files, aliases, matched, parts_of, time_of
 from uwaug.files.pictures import ENDINGS, MAP_ENDINGS, holds_picture
 from uwaug.files.record import record_of
 
@@ -102,6 +102,12 @@ def find_items(
         unread = left_out(source, distance, exclude=exclude)
         got = f"{', '.join(_PICTURE_ENDINGS)}{unread and f'; there are {unread}'}"
         raise ValueError(f"no pictures in {pictures}: expected {got}")
+    if distance and not place.is_file():
+        takers: dict[tuple[Path | None, str], Path] = {}
+        for _, picture, file in items:
+            other = takers.setdefault((file, os.path.splitext(picture)[0]), picture)
+            if file and file.is_file() and other != picture:
+                raise ValueError(f"distance: {file} may be of {other} or {picture}")
     maps = [item.distance for item in items if item.distance is not None]
     if maps and not any(map(Path.is_file, maps)):
         expected = f"such as {maps[0]}, ending in {', '.join(MAP_ENDINGS)}; {there(maps[0])}"
@@ -220,8 +226,12 @@ def _listed(file: Path, pictures: Sequence[Path], files: Files) -> dict[Path, Pa
         places = matched([first for first, _ in pairs], pictures)
     maps = {picture: file / picture.name for picture in pictures}
     for picture, lines in places.items():
-        _, path = min((pairs[line] for line in lines), key=_delay)
-        maps[picture] = files.below(file.parent, path) or file.parent / path
+        first, path = min((pairs[line] for line in lines), key=_delay)
+        # paths may count from a folder above the list
+        root = os.path.abspath(picture).removesuffix("/".join(parts_of(first)))
+        places = file.parent / path, Path(os.path.relpath(root), *parts_of(path))
+        there = next(filter(None, map(files.at, places)), None) or files.below(file.parent, path)
+        maps[picture] = there or file.parent / path
     return maps
 
 

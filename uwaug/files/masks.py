@@ -98,9 +98,11 @@ def _read(file: Path) -> "tuple[NDArray[Any], NDArray[Any], list[int] | None]":
     with Image.open(file) as image:
         if image.mode not in ("L", "P", "1", "I;16", "RGB"):
             raise ValueError(f"{file}: expected a mask of one channel, or RGB, got {image.mode}")
-        pixels, palette = np.array(image), image.getpalette()
+        if (count := getattr(image, "n_frames", 1)) > 1:
+            raise ValueError(f"{file}: expected one mask, got {count}: give each a file of its own")
+        levels = image.convert("L") if image.mode == "1" else image  # 0 and 255, as others read it
+        pixels, palette = np.array(levels), image.getpalette()
     if pixels.ndim == 2:
-        pixels = pixels.astype(np.uint8) if pixels.dtype == bool else pixels
         if palette:
             colours = [tuple(palette[3 * i : 3 * i + 3]) for i in range(int(pixels.max()) + 1)]
             black = (0, 0, 0)

@@ -10,10 +10,11 @@ from pathlib import Path
 from urllib.parse import unquote
 
 PICTURES = ("images", "JPEGImages")  # folders, beside which data sets have labels or distances
-_SPLIT = re.compile(r"(?:obj_)?(train|val|test)(?:ing|id|idation)?(?:_?(?:data|set))?[\d_]*")
+_SPLIT = re.compile(r"(?:obj_)?(train|val|test)(?:ing|id|idation)?(?:_?(?:data|set|images))?[\d_]*")
 _NUMBER = re.compile(r"\d{2,}")
 _ABSOLUTE = re.compile(r"[/\\]|\w:")
-_TIME = re.compile(r"(\d+\.\d{3,9}|\d{13}|\d{16}|\d{19})(?:\.[a-zA-Z]\w*)?")  # s; ms, µs or ns
+_TIMES = r"\d+\.\d{3,9}|\d{10}\.\d{1,2}|\d{13}|\d{16}|\d{19}"  # s; s since 1970; ms, µs or ns
+_TIME = re.compile(rf"({_TIMES})(?:\.[a-zA-Z]\w*)?")
 
 
 def split_of(folders: Iterable[str]) -> str | None:
@@ -38,7 +39,9 @@ def normal(name: str) -> str:
     """The normal form of a file's name, by which names are compared: accents are composed, percent
     signs decoded, and the ending is in small letters.
     """
-    stem, end = os.path.splitext(unicodedata.normalize("NFC", unquote(name)))
+    stem, end = os.path.splitext(
+        unicodedata.normalize("NFC", unquote(name, errors="surrogateescape"))
+    )
     return f"{stem}{end.lower()}"
 
 

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import cycle, product
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from uwaug.files.summary import Result
 
 _CLASS_FILES = ("classes.txt", "obj.names", "_darknet.labels")  # with a class in each line
+_LISTS = ("train.txt", "valid.txt", "val.txt", "test.txt")
 _PLACE_KEYS = ("train", "val", "validation", "test", "path", "download")  # of a data.yaml
 
 
@@ -78,11 +79,11 @@ class Yolo(Folder):
             cure = "say kpt_shape: [how many, 2 or 3], or of polygons nothing but names"
             raise ValueError(f"{got}: {cure}, in {self.path / 'data.yaml'}")
         told = _told(source, classes, lists)
-        for folder, name in product(folders, ("valid.txt", "val.txt")):  # as Darknet has them
-            if (folder / name).is_file():
-                others = {split: f"{split}.txt" for split in ("train", "test")}
-                stated = {k: file for k, file in others.items() if (folder / file).is_file()}
-                return replace(self, description=classes | stated | {"val": name}, told=told)
+        for folder in folders:  # lists as Darknet has them
+            files = [file for file in map(folder.joinpath, _LISTS) if file.is_file()]
+            stated: Entry = {split_of([file.stem]) or "": file.name for file in files}
+            if stated.keys() - {"train"}:
+                return replace(self, description=classes | stated, told=told)
         return replace(self, description=classes, told=told)
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
@@ -204,7 +205,7 @@ class Yolo(Folder):
         entries: Entry = {split: f"{split}.txt" for split in splits}
         if "val" not in splits:
             entries |= {"val": self.dry_val} if self.dry_val else {}
-            cure = "data.yaml has no val: add dry pictures to validate on, as val: /ds/images/val"
+            cure = "data.yaml has no val: add a folder of dry pictures to validate on"
             notes.append(f"val is dry: {', '.join(self.dry_val)}" if self.dry_val else cure)
         entries |= classes
         lists = {f"{split}.txt": text.encode() for split, text in splits.items()}

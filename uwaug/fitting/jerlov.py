@@ -51,6 +51,7 @@ class TypeModel(Model):
     camera: Camera
     surfaces: Surfaces
     g: float
+    mu: float | None  # None: 1.5·g
     point_spread: PointSpread
     view: View
     depth: float | None  # m; None if it is fitted
@@ -92,6 +93,7 @@ class TypeModel(Model):
             self.camera,
             vertical_depth=numbers["vertical_depth"],
             g=self.g,
+            mu=self.mu,
             point_spread=self.point_spread,
             surfaces=self.surfaces,
             tolerance=tolerance,
@@ -134,6 +136,7 @@ def fit_water(
     surfaces: Surfaces | Literal["auto"] = "auto",
     vertical_depth: float | None = None,
     g: float = Scattering.CALIBRATED.g,
+    mu: float | None = None,
     point_spread: PointSpread | None = None,
     view: View | float = WIDE,
     color_space: ColorSpace = "srgb",
@@ -145,11 +148,12 @@ def fit_water(
     """Find the Jerlov type of a scene's water, its contents and its vertical depth.
 
     All ten types are fitted, by spectra of water and camera; the one with the smallest residual is
-    named if what it leaves is noise. Defaults are those of `uwaug.RandomUnderwater`.
+    named if what it leaves is noise. Defaults are those of `Medium.from_water`; a draw of
+    `uwaug.RandomUnderwater` has a mu of its own, which its record says.
 
     Args:
         clean, observed, distance, color_space, jpeg, seed, progress: as of `uwaug.fit`.
-        camera, g: as of `Medium.from_water`; a wrong one gives a wrong water.
+        camera, g, mu: as of `Medium.from_water`; a wrong one gives a wrong water.
         surfaces: "spectral" or "grey", as of `Medium.from_water`; "auto": what explains the
             picture better.
         vertical_depth: depth of the scene below the surface, m; None: it is fitted, 0…30 m.
@@ -177,6 +181,8 @@ def fit_water(
     """
     say = checked_options(pixels, seed, progress)
     checks.within("g", g, *checks.DOMAIN["g"])
+    if mu is not None:
+        checks.within("mu", mu, *checks.DOMAIN["mu"])
     camera = load_camera(camera)
     checks.one_of("surfaces", surfaces, (*get_args(Surfaces), "auto"))
     if vertical_depth is not None:
@@ -187,7 +193,7 @@ def fit_water(
     view = View.of(view)
     checks.instance("point_spread", law, PointSpread)
     models = [
-        TypeModel(Water.jerlov(name), camera, kind, g, law, view, vertical_depth, geometry)
+        TypeModel(Water.jerlov(name), camera, kind, g, mu, law, view, vertical_depth, geometry)
         for kind in (get_args(Surfaces) if surfaces == "auto" else (surfaces,))
         for name in JERLOV_TYPES
     ]
@@ -225,7 +231,7 @@ def fit_water(
 
 def _notes(result: Fit, model: TypeModel) -> list[str]:
     """Sentences on the type, or on what is known where none explains the picture."""
-    given = f"Camera, g, {model.surfaces} surfaces and a linear camera are taken for known."
+    given = f"Camera, g, μ, {model.surfaces} surfaces and a linear camera are taken for known."
     residual = f"The residual is {result.rms:.2g} RMS of linear light. {given}"
     if result.adequate:
         equals = [x.name for x in result.candidates[1:] if x.behind <= x.behind_error]

@@ -50,7 +50,8 @@ class Underwater(nn.Module):
             never clips.
         learnable: True to make β, G, veil and width of a medium of coefficients parameters, see
             `uwaug.formation.LearnableMedium`; or some of ("rates", "veil", "width"). A width that
-            leaves the plan gets a new plan, except in a compiled module.
+            leaves the plan gets a new plan, except in a compiled module. The medium is copied: to
+            its own tensors gradients go by `uwaug.form_image` alone.
         sides: (smallest, largest) short side, px, of the pictures: one plan of the blur then serves
             them all, as an exported file needs. None plans for each size, which is faster: one plan
             for (32, 2160) takes 15 to 70 % more time.

@@ -176,7 +176,8 @@ class Medium:
                 alone, as in the paper; or "spectral", see `uwaug.optics.surfaces`.
             color_matrix: share of the camera's colour matrix that is applied to surfaces with
                 spectra, 0…1. With 0 its raw channels are shown.
-            tolerance: largest error of each curve, at any distance; 0 keeps every band.
+            tolerance: largest error of each curve, at any distance, as a share of the light at the
+                surface; 0 keeps every band, which deep scenes with a high exposure want.
 
         Raises:
             TypeError, ValueError: if an argument is no water, no number, or outside its domain.

@@ -223,7 +223,7 @@ class Water(Spectra):
 
         It is the contrast with the open water behind the object, as of a Secchi disc, and depends
         on the water alone. ``uwaug.contrast_left``, of patterns on an object, depends on depth, g
-        and μ as well: where this is .5, that is .38 to .56 (types 1C, 7C and II, 3 m).
+        and μ as well: where this is .5, that is .37 to .64 (types 1C, 7C and II, 0 to 10 m).
 
         Examples:
             >>> round(Water.jerlov("II").contrast(3), 3)

@@ -55,7 +55,8 @@ class Truth(NamedTuple):
         z (1xHxW): effective distance, m: scaled, without holes, times the medium field.
         transmission (3xHxW): share of the surface's light that arrives from a white scene, direct
             or scattered forward.
-        signal (3xHxW): light that arrives from the scene: J times transmission, and blurred.
+        signal (3xHxW): light that arrives from the scene, direct and blurred. Of grey surfaces it
+            is J times transmission; colours with spectra mix channels, so that it may be negative.
         veil (3xHxW): backscattered light.
         gain (3x3): matrix of the camera: exposure, white balance and saturation.
         vertical_depth: m; None of a `Medium`.
