@@ -32,7 +32,7 @@ def write(data: Path) -> None:
     land = [patches(rng) for _ in range(PICTURES)]
     for index, picture in enumerate(land):
         save(picture, data / LAND / f"BSDS500/data/images/train/{index}.jpg")
-    pool, _ = painted_balls(land, len(COLOURS) * PICTURES, rng)
+    pool = painted_balls(land, len(COLOURS) * PICTURES, rng)
     cyan = np.array([0.1, 0.6, 0.65])
     for index, (ball, label) in enumerate(zip(pool.images, pool.labels, strict=True)):
         number = 510 + 30 * index  # three of them are called rendered

@@ -18,6 +18,7 @@ PAGES = {
         "speed",
         "training",
         "detector",
+        "restore",
     ),
     ROOT / "benchmarks" / "CHOICES.md": ("chart",),
 }
@@ -302,6 +303,28 @@ def _readers(found: Results) -> str:
     )
 
 
+def restore() -> str:
+    """What nets give back."""
+    found = load("restore")
+    columns = {title: rows for title, rows in found["tables"].items() if "far" not in title}
+    far = {
+        title: {arm: f"{row['score']:.{_digits(row)}f}" for arm, row in rows.items()}
+        for title, rows in found["tables"].items()
+        if "far" in title
+    }
+    nets = max(len(row["nets"]) for row in next(iter(columns.values())).values())
+    return (
+        f"{nets} nets an arm, {found['steps']} steps, {found['pairs']} pairs. In brackets what it "
+        "has more than the defaults, bold where its interval of 95 % over blocks and nets leaves "
+        "out 0:\n\n" + _gains("restored by", columns, ("blocks",), far)
+    )
+
+
+def _digits(row: Results) -> int:
+    """Of a share, and of a ΔE."""
+    return 2 if row["score"] < 2 else 1
+
+
 def _gains(
     title: str,
     columns: Results,
@@ -321,10 +344,11 @@ def _gains(
 
 def _gain(row: Results, intervals: Sequence[str]) -> str:
     if not any(row["blocks"]):  # the defaults themselves
-        return f"{row['score']:.2f}"
+        return f"{row['score']:.{_digits(row)}f}"
     certain = all(row[kind][0] > 0 or row[kind][1] < 0 for kind in intervals)
-    difference = f"{row['difference']:+.2f}".replace("-", "−")
-    return f"{row['score']:.2f} ({f'**{difference}**' if certain else difference})"
+    digits = _digits(row)
+    difference = f"{row['difference']:+.{digits}f}".replace("-", "−")
+    return f"{row['score']:.{digits}f} ({f'**{difference}**' if certain else difference})"
 
 
 SECTIONS: dict[str, Callable[[], str]] = {
@@ -335,6 +359,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "speed": speed,
     "training": training,
     "detector": detector,
+    "restore": restore,
 }
 """What belongs between the markers of each name."""
 

@@ -229,9 +229,9 @@ def _listed(file: Path, pictures: Sequence[Path], files: Files) -> dict[Path, Pa
         first, path = min((pairs[line] for line in lines), key=_delay)
         # paths may count from a folder above the list
         root = os.path.abspath(picture).removesuffix("/".join(parts_of(first)))
-        places = file.parent / path, Path(os.path.relpath(root), *parts_of(path))
-        there = next(filter(None, map(files.at, places)), None) or files.below(file.parent, path)
-        maps[picture] = there or file.parent / path
+        candidates = file.parent / path, Path(os.path.relpath(root), *parts_of(path))
+        beside = next(filter(None, map(files.at, candidates)), None)
+        maps[picture] = beside or files.below(file.parent, path) or candidates[0]
     return maps
 
 

@@ -30,7 +30,7 @@ def left_over(remainder: Sequence[Remainder], design_effect: float, rms: float) 
     are_alike = design_effect > _DEPENDENT_EFFECT and rms > VISIBLE_LIGHT
     if not example and not are_alike:
         return []
-    causes = "distances, alignment, uneven light, or more than one rate for a colour"
+    causes = "distances, alignment, uneven light, JPEG, or more than one rate for a colour"
     return [
         f"What is left is not noise: errors are {design_effect:.1f} times those of independent "
         f"pixels{example}. The model misses something, such as {causes}: numbers may be off by "
