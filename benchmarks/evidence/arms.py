@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from kornia import augmentation
 from PIL import Image
-from skimage.exposure import match_histograms
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -100,45 +99,20 @@ ARMS: dict[str, Callable[[], Arm]] = {
 """What makes each arm, by its name in the table."""
 
 
-def each(change: Callable[[Tensor, Tensor], Tensor]) -> Callable[[list[Array], Pool, int], Arm]:
-    """An arm that changes each picture by one of the pictures shown, drawn, at its own size."""
+def coloured_alike(references: list[Array], pool: Pool, trials: int) -> Arm:
+    """Each picture with the colours of one of those shown, drawn."""
+    shown = [interpolate(x[None], (SIDE, SIDE), mode="area")[0] for x in tensors(references)]
 
-    def made(references: list[Array], pool: Pool, trials: int) -> Arm:
-        shown = [interpolate(x[None], (SIDE, SIDE), mode="area")[0] for x in tensors(references)]
+    def arm(images: Tensor, distances: Tensor) -> Tensor:
+        picked = torch.randint(len(shown), (len(images),)).tolist()
+        return torch.stack([transferred(x, shown[i]) for x, i in zip(images, picked, strict=True)])
 
-        def arm(images: Tensor, distances: Tensor) -> Tensor:
-            picked = torch.randint(len(shown), (len(images),)).tolist()
-            pairs = zip(images, picked, strict=True)
-            return torch.stack([change(image, shown[index]) for image, index in pairs])
-
-        return arm
-
-    return made
+    return arm
 
 
 def tensors(pictures: Sequence[Array]) -> Iterator[Tensor]:
     """Pictures (HxWx3, uint8) as 3xHxW, 0…1."""
     return (torch.from_numpy(picture).permute(2, 0, 1) / 255 for picture in pictures)
-
-
-def matched(image: Tensor, reference: Tensor) -> Tensor:
-    """With the histograms of a reference, channel by channel."""
-    return torch.from_numpy(
-        match_histograms(image.numpy(), reference.numpy(), channel_axis=0)
-    ).float()
-
-
-def fourier_adapted(image: Tensor, reference: Tensor) -> Tensor:
-    """With the lowest amplitudes of a reference, up to one of the paper's three shares of the side
-    (Yang and Soatto, CVPR 2020).
-    """
-    reach = int((0.01, 0.05, 0.09)[int(torch.randint(3, ()))] * SIDE)
-    spectrum, other = torch.fft.fft2(image), torch.fft.fft2(reference)
-    lowest = [*range(reach + 1), *range(SIDE - reach, SIDE)]
-    rows, columns = torch.meshgrid(torch.tensor(lowest), torch.tensor(lowest), indexing="ij")
-    amplitude = spectrum.abs()
-    amplitude[:, rows, columns] = other.abs()[:, rows, columns]
-    return torch.fft.ifft2(torch.polar(amplitude, spectrum.angle())).real.clamp(0, 1)
 
 
 def like(references: list[Array], pool: Pool, trials: int) -> Arm:
@@ -157,9 +131,7 @@ def like(references: list[Array], pool: Pool, trials: int) -> Arm:
 
 
 SHOWN: dict[str, Callable[[list[Array], Pool, int], Arm]] = {
-    "colour transfer": each(transferred),
-    "histogram matching": each(matched),
-    "FDA": each(fourier_adapted),
+    "colour transfer": coloured_alike,
     "uwaug.like": like,
 }
 """What makes each arm that is shown pictures of the test set, without labels, before training."""

@@ -55,7 +55,7 @@ UNTUNED = "not tuned"
 STEPS = 300
 LONGER = {"p=0.5": 2}  # times as many, as half of its pictures are dry
 RATES = (1e-4, 3e-4)
-RATE = RATES[-1]
+RATE = RATES[0]
 """Relative to the weights, as batch norms are folded in. The best of the dry arm on land/val before
 any other was trained: .505 against .481 (.486 not tuned). AdamW (3e-5, 6e-5, 1e-4) had .481, .451
 and .422, and of swimmers .23, seen once; SGD 0. With boxes of persons alone AdamW had .33 and .35.
@@ -313,7 +313,6 @@ def parser(about: str | None, arms: Sequence[str] = NAMES) -> argparse.ArgumentP
     formatter = argparse.RawDescriptionHelpFormatter
     flags = argparse.ArgumentParser(description=about, formatter_class=formatter)
     flags.add_argument("--kit", type=Path, required=True, help="its folder")
-    flags.add_argument("--choose", action="store_true", help="what nets are chosen by")
     flags.add_argument("--arms", nargs="+", choices=arms, default=arms, metavar="ARM")
     flags.add_argument("--nets", type=int, default=1, help="of each arm")
     flags.add_argument("--answered", type=Path, help="a folder that keeps what nets answered")
@@ -321,7 +320,9 @@ def parser(about: str | None, arms: Sequence[str] = NAMES) -> argparse.ArgumentP
 
 
 if __name__ == "__main__":
-    given = parser(__doc__).parse_args()
+    flags = parser(__doc__)
+    flags.add_argument("--choose", action="store_true", help="length and step, by the dry arm")
+    given = flags.parse_args()
     if given.choose:
         choose(given.kit)
     else:

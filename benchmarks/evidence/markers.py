@@ -192,7 +192,9 @@ def main(
 
 
 if __name__ == "__main__":
-    given = parser(__doc__).parse_args()
+    flags = parser(__doc__)
+    flags.add_argument("--choose", action="store_true", help="step of the nets, by the dry arm")
+    given = flags.parse_args()
     if given.choose:
         readers.choose(module(given.kit), given.kit)
     else:
