@@ -96,8 +96,12 @@ def with_tables(options: dict[str, Any], file: Path | None) -> dict[str, Any]:
 
     merged = dict(options)
     for name, value in read_tables(file).items() if file is not None else ():
-        are_tables = isinstance(value, dict) and isinstance(merged.get(name), dict)
-        merged[name] = merged[name] | value if are_tables else value
+        before = merged.get(name)
+        if not isinstance(value, dict) or not isinstance(before, dict):
+            merged[name] = value
+        else:  # options of one kind are none of another
+            is_other = "kind" in value and value["kind"] != before.get("kind")
+            merged[name] = value if is_other else before | value
     return merged
 
 

@@ -26,7 +26,8 @@ _SCALES = (
     f"are disparities or 8 bits of a network, {_INVERSE}",
     "look like millimetres or centimetres, as their median is beyond 100 m: --unit mm or cm "
     "(divide by 1000 or 100); or like disparities: from_disparity",
-    "look like kilometres, as all is nearer than 5 cm: --unit 1000 (multiply by 1000)",
+    "look like kilometres, as all is nearer than 5 cm: --unit 1000 (multiply by 1000); or like "
+    "metres that were divided: leave --unit out",
     "span all that 16 bits hold, as maps do that were stretched: if they are relative, 0…1, "
     f"{_INVERSE} where large is near, Relative where 0 is near",
     "are all multiples of 8 mm: of SUN RGB-D, turn the bits back (numbers >> 3 | numbers << 13)",
