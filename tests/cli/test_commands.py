@@ -13,6 +13,7 @@ from filing import save
 from PIL import ExifTags, Image
 
 import uwaug
+from uwaug.cli.choices import with_tables
 from uwaug.cli.degrade import degrade
 from uwaug.cli.fit import _jpeg_quality
 from uwaug.distance import MadeUp, Metres, Plane, Relative
@@ -247,6 +248,15 @@ def test_the_file_of_a_preset_is_a_file_of_options(folder, run, preset):
     image = torch.from_numpy(np.array(Image.open("photos/a.png"))).permute(2, 0, 1)
     wanted = transform.transform(image, torch.from_numpy(np.load("t.npy"))[None], record["params"])
     assert np.array_equal(np.load("a.npy"), wanted.permute(1, 2, 0))
+
+
+def test_a_table_of_another_kind_takes_the_place_of_one(tmp_path):
+    (tmp_path / "mine.toml").write_text('[distance]\nkind = "Metres"\n[water]\nmu = 0.03\n')
+    preset = {"distance": {"kind": "Relative", "near": 1.0}, "water": {"g": 0.05}}
+    assert with_tables(preset, tmp_path / "mine.toml") == {
+        "distance": {"kind": "Metres"},
+        "water": {"g": 0.05, "mu": 0.03},
+    }
 
 
 def test_tables_of_a_file_of_options_lie_beside_it(folder, run):

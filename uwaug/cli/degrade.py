@@ -134,7 +134,7 @@ def degrade(
     maps: Annotated[
         str | None,
         typer.Option(
-            help="Also write clean light, distance times field, transmission, signal, veil (linear).",
+            help="Also write clean light, distance with field, transmission, signal, veil (linear).",
             metavar="npy|exr",
         ),
     ] = None,
