@@ -134,7 +134,7 @@ def degrade(
     maps: Annotated[
         str | None,
         typer.Option(
-            help="Also write clean light, distance with field, transmission, signal, veil (linear).",
+            help="Also write clean light, m·z, transmission, signal and veil, in linear light.",
             metavar="npy|exr",
         ),
     ] = None,
