@@ -10,7 +10,7 @@ A small net learns to give back pictures in air which an arm has degraded. Three
 
 Errors are ΔE2000 after one gain: a frame's brings its white squares to a luminance of .8, that of a
 ball or a scene to that of the truth. All arms have the same pictures, distances, order and steps.
-The folder holds the kits `detector`, `evidence`, `depth` and `rgbd`, with the half that chooses.
+The folder holds the kits `detector`, `evidence` and `depth`, with the half that chooses.
 """
 
 import json
@@ -51,9 +51,9 @@ BATCH = 16
 RATE = 4e-3
 STEPS = 1200
 WIDTHS = (8, 16, 32, 48, 64)
-"""Chosen by rendered scenes in other waters (by hand and defaults, 600 steps): ΔE 10.6, as much as
-twice these widths. With a stretch as input 11.5; fusing picture, stretch and grey-world 11.1, which
-has 21.8 and 27.6 on the film. Differences as a second loss gain nothing; 1200 steps gain .5.
+"""Chosen by rendered scenes in other waters (by hand and defaults, 600 steps): ΔE 10.6. With a
+stretch as input 11.5; fusing picture, stretch and grey-world 11.1, which has 21.8 and 27.6 on the
+film. Wider first layers and differences as a second loss gain nothing; 1200 steps gain .5.
 """
 TRIALS = 300  # of `uwaug.like`
 SHOWN_FRAMES = 5

@@ -240,11 +240,10 @@ def _files(found: dict[str, Any]) -> str:
         states = row["states"]
         told = 100 * row["numbers"] / sum(states.values())
         held, shown = f"{row['covered_percent']:.0f} % from {name}", f"{told:.0f} % of the numbers"
-        cells.append(f"{held} ({shown} are identified)")
-    runs = next(iter(found.values()))["runs"]
+        cells.append(f"{held} ({row['runs']} pairs; {shown} are identified)")
     return (
-        f"Of {runs} smaller pictures (125×185, .5 % noise, the right model), both from files, "
-        f"intervals hold the truth in {', '.join(cells)}."
+        "Of smaller pictures (125×185, .5 % noise, the right model), both from files, intervals "
+        f"hold the truth in {', '.join(cells)}."
     )
 
 
