@@ -81,6 +81,13 @@ def test_a_phase_function_of_ones_own_is_given(two: None) -> None:
     fit = fit_water(*seen(medium_of("3C", 2.0, **own)), pixels=500, **own)
     assert fit.model == "3C"
     assert fit.parameters["contents"].value == pytest.approx(1, rel=0.03)
+    assert not any("hardly that type" in note for note in fit.notes)
+
+
+def test_contents_far_from_those_of_a_type_are_doubted(two: None) -> None:
+    clear = medium_of(uwaug.Water.jerlov("3C").with_contents(0.2), 3.0)
+    fit = fit_water(*seen(clear), surfaces="spectral", pixels=500)
+    assert (fit.model, any("hardly that type" in note for note in fit.notes)) == ("3C", True)
 
 
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])

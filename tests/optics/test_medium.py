@@ -73,8 +73,8 @@ def test_the_camera_counts() -> None:
 
 
 def test_a_water_with_a_short_spectrum_uses_what_it_has() -> None:
-    water = Water([450, 550, 600], a=[1.0, 0.77, 0.72], b=[13, 10, 9.5], kd=[2, 1.6, 1.5])
-    assert Medium.from_water(water, tolerance=0).beta.shape == (1, 31)
+    water = Water([450, 550, 650], a=[1.0, 0.77, 0.72], b=[13, 10, 9.5], kd=[2, 1.6, 1.5])
+    assert Medium.from_water(water, tolerance=0).beta.shape == (1, 41)
 
 
 def test_a_water_under_a_lamp() -> None:

@@ -134,12 +134,12 @@ def test_a_cameras_matrix_is_part_of_it() -> None:
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
 def test_waters_that_hide_a_channel_are_refused(surfaces: Any) -> None:
     axis = np.arange(400.0, 701.0, 25.0)
-    for last, allowed in ((600.0, True), (550.0, False)):
+    for last, allowed in ((650.0, True), (600.0, False)):
         water = Water.jerlov("3C").at(axis[axis <= last])
         if allowed:
             Medium.from_water(water, surfaces=surfaces)
             continue
-        message = "water covers 400–550 nm, 13% of what red of camera 'Nikon 5100 .NPL.' sees"
+        message = "water covers 400–600 nm, 49% of what red of camera 'Nikon 5100 .NPL.' sees"
         with pytest.raises(ValueError, match=message):
             Medium.from_water(water, surfaces=surfaces)
 

@@ -35,6 +35,7 @@ _START_DEPTHS = (0.5, 3.0, 10.0)  # vertical depths, m
 _MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
 # Multiples of a type's contents, from pure water to clear types within the tables' error.
 _MIN_CONTENTS, _MAX_CONTENTS = 1e-3, 1e3
+_FAR_CONTENTS = 3.0  # times those of a type, which make a sentence
 _RESULT_TOLERANCE = 0.002  # of the medium of a result
 # Linear light. Media and blurs of the default tolerance are off by .0007 RMS, and half of a step
 # of 8 bits is .002: of each colour about so much is alike everywhere.
@@ -239,7 +240,12 @@ def _notes(result: Fit, model: TypeModel) -> list[str]:
         if equals:
             names = "; ".join(equals)
             comparison = f"Within one standard error, these explain it as well: {names}."
-        return [f"Jerlov type {model.name} surfaces. {comparison}", residual]
+        notes = [f"Jerlov type {model.name} surfaces. {comparison}", residual]
+        times = result.parameters["contents"].value or 1.0
+        if not 1 / _FAR_CONTENTS < times < _FAR_CONTENTS:
+            doubt = "Are camera, view, g and μ right?"
+            notes.append(f"It has {times:.2g} times the type's contents, hardly that type. {doubt}")
+        return notes
     metres = result.candidates[0].values["visibility"]
     return [
         "No Jerlov type explains the picture, so none is named. In what comes nearest one sees "
