@@ -310,6 +310,10 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
             "--surfaces grey is of --model waters",
         ),
         (
+            "fit --clean a.png --observed b.png --distance 3 --out f.json --mu .02",
+            "--mu is of --model waters",
+        ),
+        (
             "fit --clean a.png --observed b.png --distance 3 --out f.json --darkest 0",
             "--darkest is of fits without --clean",
         ),
@@ -485,6 +489,21 @@ def test_a_haze_of_encoded_values_is_fitted_and_made_again(folder, run):
     flags = ("--distance", "z.npy", "--preset", "values.json", "--out", "again.npy")
     assert run("degrade", "clean.npy", *flags)[0] == 0
     assert np.abs(np.load("again.npy").astype(int) - np.load("observed.npy")).max() <= 2
+
+
+def test_what_a_fit_of_waters_takes_for_known_is_given(folder, run, monkeypatch):
+    given = {}
+
+    def fit_water(*pictures, **options):
+        given.update(options)
+        raise ValueError("seen")
+
+    monkeypatch.setattr("uwaug.fitting.fit_water", fit_water)
+    scene = ("--clean", "photos/a.png", "--observed", "photos/a.png", "--distance", "3")
+    options = ("--camera", "mine.csv", "--g", ".1", "--mu", "0.02", "--focal-px", "300")
+    assert "seen" in run("fit", *scene, "--out", "f.json", "--model", "waters", *options)[2]
+    assert (given["camera"], given["g"], given["mu"]) == ("mine.csv", 0.1, 0.02)
+    assert given["view"].focal_px == 300
 
 
 def test_a_fit_leaves_out_what_it_is_told_to(folder, run):

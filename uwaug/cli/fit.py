@@ -42,6 +42,16 @@ def fit(
         Literal["auto", "grey", "spectral"],
         typer.Option(help="Surfaces of --model waters: grey, with spectra, or what fits better."),
     ] = "auto",
+    camera: Annotated[
+        str | None, typer.Option(help="Camera of --model waters: a name, or a CSV file.")
+    ] = None,
+    g: Annotated[
+        float | None,
+        typer.Option(help="Of --model waters: share scattered away; else .05."),
+    ] = None,
+    mu: Annotated[
+        float | None, typer.Option(help="Of --model waters: share scattered back; else 1.5·g.")
+    ] = None,
     view: ViewAngle = None,
     focal_px: FocalPx = None,
     darkest: Annotated[
@@ -80,6 +90,10 @@ def fit(
             raise ValueError("--model waters fits the gain: leave out --gain fixed")
         if model != "waters" and surfaces != "auto":
             raise ValueError(f"--surfaces {surfaces} is of --model waters, got --model {model}")
+        optics = {"camera": camera, "g": g, "mu": mu}
+        optics = {name: value for name, value in optics.items() if value is not None}
+        if optics and model != "waters":
+            raise ValueError(f"--{next(iter(optics))} is of --model waters, got --model {model}")
         table = view_table(view, focal_px)
         if table and model != "waters":
             raise ValueError(f"--view and --focal-px are of --model waters, got --model {model}")
@@ -104,7 +118,7 @@ def fit(
         else:
             dry, options["jpeg"] = read_picture(clean), _jpeg_quality(observed)
             if model == "waters":
-                options |= {"surfaces": surfaces, "view": uwaug.View(**table)}
+                options |= {"surfaces": surfaces, "view": uwaug.View(**table), **optics}
                 result = fit_water(dry, wet, z, **options)
             else:
                 result = uwaug.fit(dry, wet, z, model=model, gain=gain, **options)
