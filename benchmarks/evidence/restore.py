@@ -69,6 +69,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "1 to 20 m deep": {"water": uwaug.RandomWater(**DEEP)},
     "all three": {"water": uwaug.RandomWater(color_matrix=1.0, **DEEP), **NO_GAMUT},
 }
+FIGURE = ("by hand", DEFAULTS, "uwaug.like")  # between a stretch and the truth
 NAMES = ("by hand", "Li 2020", "SLURPP 2025", DEFAULTS, *CHANGES, "uwaug.like", MAPS)
 
 PAINTS = np.array([(175, 8, 30), (191, 235, 100), (31, 114, 87)]) / 255
@@ -82,6 +83,8 @@ PAPER = np.array([0.8, 0.04])[:, None]
 WATERS = ("reef", "harbour", "lake")
 CONTRASTS = (0.2, 0.5)  # left at the median distance
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+LOGS, VEILS = slice(3), slice(3, 6)  # of the maps that a net says
 
 Restore = Callable[[Array], Array]
 """From a picture (HxWx3, uint8) to light (HxWx3, linear)."""
@@ -209,9 +212,6 @@ def trained(pairs: Sequence[Tensor], inverts: bool, seed: int, steps: int = STEP
     return restore
 
 
-LOGS, VEILS = slice(3), slice(3, 6)
-
-
 def linear(srgb: Array) -> Array:
     """Light of a picture."""
     return srgb_to_linear(torch.from_numpy(srgb)).numpy()
@@ -232,6 +232,7 @@ def stretched(picture: Array) -> Array:
 
 BASELINES: dict[str, Restore] = {
     "as it is": lambda picture: linear(picture / 255),
+    "blank": lambda picture: np.full(picture.shape, 0.2),
     "grey-world": balanced,
     "stretch": stretched,
 }
@@ -268,7 +269,7 @@ def of_tags(
         sides.append(np.linalg.norm(quad - np.roll(quad, 1, 0), axis=1).mean())
     white, black = (np.array(colours) @ LUMINANCE).T
     truth = np.broadcast_to(PAPER, np.shape(colours))
-    errors = apart(np.array(colours), truth, PAPER[0, 0] / white.mean()).mean(1)
+    errors = apart(np.array(colours), truth, PAPER[0, 0] / max(white.mean(), 1e-4)).mean(1)
     contrasts = 1 - black / np.maximum(white, 1e-4)
     return [Item(block, *row) for row in zip(sides, errors, contrasts, strict=True)]
 
@@ -291,11 +292,13 @@ def of_scene(
     restored, truth, solid = restore(picture), linear(air), np.isfinite(metres)
     gain = truth[solid].mean(0) @ LUMINANCE / (restored[solid].mean(0) @ LUMINANCE)
     errors, near = apart(restored, truth, gain), metres <= np.median(metres[solid])
-    for half in (near, ~near):
-        yield Item(block, float(half is near), float(errors[half & solid].mean()))
+    for nearness, half in ((1.0, near), (0.0, ~near)):
+        yield Item(block, nearness, float(errors[half & solid].mean()))
 
 
-def wet(scenes: list[tuple[str, Tensor, Tensor]]) -> Iterator[tuple[str, Array, Array, Array]]:
+def in_waters(
+    scenes: list[tuple[str, Tensor, Tensor]],
+) -> Iterator[tuple[str, Array, Array, Array]]:
     """Scenes in waters: block, picture (HxWx3, uint8), in air (0…1), metres. The camera meters, and
     is not that of any arm.
     """
@@ -340,7 +343,7 @@ class Bench(NamedTuple):
         half = (x[:, ::2, ::2] for x in (bundled.image, fill_unknown(bundled.distance)))
         scenes = [("reef", *reef(288)[:2]), ("motorcycle", *half)]
         buoys = sets.load(kits / "evidence").crops["buoys"]
-        return cls(frames, buoys, [*wet(scenes)], [samples[i].image for i in shown])
+        return cls(frames, buoys, [*in_waters(scenes)], [samples[i].image for i in shown])
 
     def items(self, restore: Restore) -> dict[str, list[Item]]:
         """Of each test."""
@@ -357,13 +360,15 @@ class Bench(NamedTuple):
 COLUMNS: dict[str, tuple[str, str, bool]] = {
     "film, ΔE": ("film", "error", False),
     "film, contrast": ("film", "contrast", False),
-    "film, contrast, far": ("film", "contrast", True),
+    "film, contrast, small": ("film", "contrast", True),
     "buoys, ΔE": ("buoys", "error", False),
-    "buoys, ΔE, far": ("buoys", "error", True),
+    "buoys, ΔE, faint": ("buoys", "error", True),
     "rendered, ΔE": ("rendered", "error", False),
     "rendered, ΔE, far": ("rendered", "error", True),
 }
-"""Test and number of each column, and whether the farthest third (rendered: half) alone counts."""
+"""Test and number of each column; and whether the smallest third of tags, the faintest of balls or
+the farther half of a scene alone counts.
+"""
 
 
 def table(
@@ -391,14 +396,14 @@ def main(
     bench, pool = Bench.of(kits), pool_of(kits)
     looked_at = bench.frames[0][1], bench.rendered[0][1]
     items = {name: [bench.items(restore)] for name, restore in BASELINES.items()}
-    columns = [looked_at, [shown(stretched(x)) for x in looked_at]]
+    columns = [looked_at, [as_bytes(stretched(x)) for x in looked_at]]
     with keeper(answered) as folder:
         for seed, arm in product(range(nets), arms):
             path = folder / f"{arm}, {seed}.pt"
             if not path.exists():
                 began = time.process_time()
                 restore = trained(pairs_of(arm, pool, bench.shown, seed), arm == MAPS, seed)
-                torch.save((bench.items(restore), [shown(restore(x)) for x in looked_at]), path)
+                torch.save((bench.items(restore), [as_bytes(restore(x)) for x in looked_at]), path)
                 print(f"{arm}, {seed}: {time.process_time() - began:.0f} s", flush=True)
             of_net, pictures = torch.load(path, weights_only=False)
             items.setdefault(arm, []).append(of_net)
@@ -417,13 +422,10 @@ def main(
     return results
 
 
-FIGURE = ("by hand", DEFAULTS, "uwaug.like")
-"""Arms that are shown, between a stretch and the truth."""
-
-
-def shown(light: Array) -> Array:
+def as_bytes(light: Array) -> Array:
     """Light as bytes."""
-    return np.uint8(255 * linear_to_srgb(torch.from_numpy(light)).numpy().clip(0, 1))
+    srgb = linear_to_srgb(torch.from_numpy(light)).numpy()
+    return np.round(255 * srgb.clip(0, 1)).astype(np.uint8)
 
 
 if __name__ == "__main__":

@@ -305,17 +305,17 @@ def _readers(found: Results) -> str:
 def restore() -> str:
     """What nets give back."""
     found = load("restore")
-    columns = {title: rows for title, rows in found["tables"].items() if "far" not in title}
-    far = {
+    columns = {title: rows for title, rows in found["tables"].items() if title.count(",") == 1}
+    parts = {
         title: {arm: f"{row['score']:.{_digits(row)}f}" for arm, row in rows.items()}
         for title, rows in found["tables"].items()
-        if "far" in title
+        if title.count(",") == 2
     }
     nets = max(len(row["nets"]) for row in next(iter(columns.values())).values())
     return (
         f"{nets} nets an arm, {found['steps']} steps, {found['pairs']} pairs. In brackets what it "
         "has more than the defaults, bold where its interval of 95 % over blocks and nets leaves "
-        "out 0:\n\n" + _gains("restored by", columns, ("blocks",), far)
+        "out 0:\n\n" + _gains("restored by", columns, ("blocks",), parts)
     )
 
 
