@@ -33,6 +33,7 @@ WIDTH = 370  # px, half of the scene
 KINDS = ("exponential", "gaussian", "exponential", "narrow")
 MAIN = ("beta", "G", "veil")
 STORED, STORED_NOISE, STORED_WIDTH = 100, 0.005, 185  # runs, linear light, px
+FRESH = 100  # the first seed of these: by lower ones the errors of JPEG were chosen
 FILES: dict[str, int | None] = {"8 bits": None, "16 bits": None, "JPEG 95": 95, "JPEG 75": 75}
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -194,7 +195,8 @@ def main(quick: bool = False) -> None:
     print(f"\n{results}")
     results["files"] = {}
     for kind in FILES:
-        runs = [recovered_from_files(seed, kind) for seed in range(1 if quick else STORED)]
+        seeds = range(FRESH, FRESH + (1 if quick else STORED))
+        runs = [recovered_from_files(seed, kind) for seed in seeds]
         results["files"][kind] = summarised(runs)
         print(kind, results["files"][kind], flush=True)
     if not quick:

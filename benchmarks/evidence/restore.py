@@ -1,6 +1,7 @@
 """Does a net that is trained on simulated pairs give back colours that are known?
 
-    python -m benchmarks.evidence.restore --kit FOLDER
+    python -m benchmarks.evidence.restore --kit FOLDER                the table and its figure
+    python -m benchmarks.evidence.restore --kit FOLDER --arms "all three" --nets 1
 
 A small net learns to give back pictures in air which an arm has degraded. Three tests have a truth:
 
@@ -62,15 +63,16 @@ PLAIN = uwaug.RandomDevelopment.PLAIN
 MAPS = "with maps"
 NO_GAMUT = {"development": uwaug.RandomDevelopment(gamut=0.0)}
 DEEP = {"vertical_depth": (1.0, 20.0)}
+NO_DEVELOPMENT = "no development"
 CHANGES: dict[str, dict[str, Any]] = {
-    "no development": {"development": uwaug.RandomDevelopment(**PLAIN)},
+    NO_DEVELOPMENT: {"development": uwaug.RandomDevelopment(**PLAIN)},
     "gamut=0": NO_GAMUT,
     "color_matrix=1": {"water": uwaug.RandomWater(color_matrix=1.0)},
     "1 to 20 m deep": {"water": uwaug.RandomWater(**DEEP)},
     "all three": {"water": uwaug.RandomWater(color_matrix=1.0, **DEEP), **NO_GAMUT},
 }
 FIGURE = ("by hand", DEFAULTS, "uwaug.like")  # between a stretch and the truth
-NAMES = ("by hand", "Li 2020", "SLURPP 2025", DEFAULTS, *CHANGES, "uwaug.like", MAPS)
+TABLE = ("by hand", "Li 2020", "SLURPP 2025", DEFAULTS, NO_DEVELOPMENT, "uwaug.like", MAPS)
 
 PAINTS = np.array([(175, 8, 30), (191, 235, 100), (31, 114, 87)]) / 255
 """Medians of the red buoy in a grey pool, of the yellow one in the nearest frame, whose water tints
@@ -389,7 +391,7 @@ def table(
 
 
 def main(
-    kits: Path, arms: Sequence[str] = NAMES, nets: int = 3, answered: Path | None = None
+    kits: Path, arms: Sequence[str], nets: int, answered: Path | None = None
 ) -> dict[str, Any]:
     """Train, score, save, print and draw. What a net gives back is kept in `answered`."""
     torch.set_num_threads(1)
@@ -429,5 +431,7 @@ def as_bytes(light: Array) -> Array:
 
 
 if __name__ == "__main__":
-    given = parser(__doc__, NAMES).parse_args()
+    flags = parser(__doc__, tuple(dict.fromkeys((*TABLE, *CHANGES))))
+    flags.set_defaults(arms=TABLE, nets=3)
+    given = flags.parse_args()
     main(given.kit, given.arms, given.nets, given.answered)
