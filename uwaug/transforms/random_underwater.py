@@ -179,7 +179,7 @@ class RandomUnderwater(SampleTransform):
             got = ", ".join(dict.fromkeys(names))
             raise ValueError(f"a module makes the same of all pictures, but {got} differ: fix them")
         nearest, farthest = self.distance.reach() or (0.1, 20.0)
-        measured = Measured(1, 0.0, 1.0, nearest, farthest, farthest, self.development.metered)
+        measured = Measured(1, 1, 0.0, 1.0, nearest, farthest, farthest, self.development.metered)
         thin, dense = self.water.field or (1.0, 1.0)
         low, high = nearest * thin, farthest * dense
         draw = Draw(**self._sample(uniform_of(0)))

@@ -60,7 +60,7 @@ PLACED_M = 2.0
 MOST_CONTENTS = 50.0
 _LEAST_CONTENTS = 1e-3  # share of it that stays where pure water is too murky already
 _MOST_STOPS, _HALVINGS = 12.0, 13  # of contents that are looked for under lamps
-_WALL_PX = (12, 16)  # of a wall at the median distance, under lamps
+_WALL_PX = 192  # of a wall at the median distance, under lamps
 
 _CALIBRATED = PointSpread.calibrated()
 
@@ -393,8 +393,12 @@ def _contents_under(
     """Factor of what is in a water that leaves this contrast of a wall at the median distance, in a
     light, whose scattered light counts.
     """
-    wall = torch.full((1, *_WALL_PX), measured.median, dtype=torch.float64)
-    shown = view.resized(_WALL_PX[1] / measured.width)
+    size = measured.height, measured.width
+    # whole columns of square pixels, so that rows are nearly whole
+    columns = max(1, round(math.sqrt(_WALL_PX * size[1] / size[0])))
+    rows = max(1, round(columns * size[0] / size[1]))
+    wall = torch.full((1, rows, columns), measured.median, dtype=torch.float64)
+    shown = view.crop(size, 0, 0).resized(columns / size[1])
     low, high = -_MOST_STOPS, _MOST_STOPS
     for _ in range(_HALVINGS):
         stops = (low + high) / 2
