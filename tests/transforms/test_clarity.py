@@ -65,7 +65,9 @@ def test_scenes_are_placed_where_each_grade_can_be_reached(name: str, light: Any
             metres.add(clarity.metres)
             setting = scenes.scenes[0].setting
             if setting.light is None or not setting.light.lamps:
-                assert clarity.water.contrast(clarity.metres) == pytest.approx(SEVERITIES[grades.index(aug) + 1])
+                assert clarity.water.contrast(clarity.metres) == pytest.approx(
+                    SEVERITIES[grades.index(aug) + 1]
+                )
             assert clarity.contents > 0
         assert len(metres) == 1  # one scene in five waters
 

@@ -296,7 +296,7 @@ WALL, LIT = torch.full((1, H, W), 2.5), Light((Lamp((0.4, 0.0, 0.0)),), 0.3)
 TANK_FIT = load_preset("tank-proposed-1").water.waters
 
 
-@pytest.mark.filterwarnings("ignore:.*are distances metres")
+@pytest.mark.filterwarnings("ignore:.*if distances are metres")
 @pytest.mark.parametrize("light", [None, LIT])
 @pytest.mark.parametrize("water", ["9C", RandomWater(contrast=0.3), FIT, COAST, None], ids=str)
 def test_distances_are_those_of_the_map_in_any_water(water: Any, light: Light | None) -> None:
@@ -482,7 +482,7 @@ def test_a_medium_has_its_own_daylight_unless_lamps_are_asked_for() -> None:
 @pytest.mark.usefixtures("nothing_is_said")
 def test_says_once_where_nothing_is_left_to_see() -> None:
     aug = RandomUnderwater(RandomWater("9C", field=None))
-    with pytest.warns(UserWarning, match=r"less than 3 % .* median distance 50 m: are distances"):
+    with pytest.warns(UserWarning, match=r"less than 3 % .* median distance 50 m: take clearer"):
         aug(picture(), torch.full((1, 24, 33), 50.0))
     aug(picture(), torch.full((1, 24, 33), 50.0))  # silent: a warning would be an error
 
@@ -516,7 +516,7 @@ ODD: list[tuple[RandomWater, Light | None, float, str]] = [
         "hardly that water: name a more turbid one",
     ),
     (RandomWater(COAST, contrast=0.9), None, 30.0, "pure water has less than a contrast of 0.9"),
-    (RandomWater(COAST, contrast=0.9), LIT, 30.0, "0.9 at 30 m: are distances metres?"),
+    (RandomWater(COAST, contrast=0.9), LIT, 30.0, "0.9 at 30 m: ask for less"),
     (RandomWater("II", visibility=200.0), None, 4.0, "less than the visibility at 4 m"),
 ]
 

@@ -1,5 +1,6 @@
 """Distances from a monocular depth network."""
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -107,8 +108,10 @@ class Network(Source):
     def has_size(self) -> bool:
         return self.holds.has_size
 
-    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> dict[str, Any]:
-        return {**drawn, "holds": self.holds.placed(drawn["holds"], metres_for)}
+    def placed(
+        self, drawn: Drawn, metres_for: Callable[[float], float], farthest: float = math.inf
+    ) -> dict[str, Any]:
+        return {**drawn, "holds": self.holds.placed(drawn["holds"], metres_for, farthest)}
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         guess = self(image / 255 if image.dtype == torch.uint8 else image)

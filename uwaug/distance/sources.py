@@ -57,8 +57,12 @@ class Source(Noun):
         """True if scenes are as large as they are, whatever the water."""
         return True
 
-    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> dict[str, Any]:
-        """The draw of a picture in its water, which leaves shares of contrast at so many m."""
+    def placed(
+        self, drawn: Drawn, metres_for: Callable[[float], float], farthest: float = math.inf
+    ) -> dict[str, Any]:
+        """The draw of a picture in its water, which leaves shares of contrast at so many m, and
+        where the scene ends within `farthest` m.
+        """
         return dict(drawn)
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
@@ -149,15 +153,18 @@ class Placed(Source):
     def has_size(self) -> bool:
         return self.near is not None and self.far is not None
 
-    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> dict[str, Any]:
+    def placed(
+        self, drawn: Drawn, metres_for: Callable[[float], float], farthest: float = math.inf
+    ) -> dict[str, Any]:
         if self.has_size:
             return dict(drawn)
         near, far = drawn.get("near"), drawn.get("far")
+        farthest = min(max(farthest, _LEAST_RATIO * _NEAREST_M[0]), _FARTHEST_M)
         if near is None:
-            near = min(max(metres_for(drawn["near_left"]), _NEAREST_M[0]), _NEAREST_M[1])
-            near = near if far is None else min(near, far / _LEAST_RATIO)
+            nearest = min(_NEAREST_M[1], (far or farthest) / _LEAST_RATIO)
+            near = min(max(metres_for(drawn["near_left"]), _NEAREST_M[0]), nearest)
         if far is None:
-            far = max(min(metres_for(drawn["far_left"]), _FARTHEST_M), _LEAST_RATIO * near)
+            far = max(min(metres_for(drawn["far_left"]), farthest), _LEAST_RATIO * near)
         return {**drawn, "near": near, "far": far}
 
 
