@@ -48,7 +48,6 @@ from uwaug import (
 )
 from uwaug._support import checks
 from uwaug.distance import Inverse, MadeUp, Metres, Network, Plane, Relative
-from uwaug.distance.doubts import first_maps
 from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.contrast import metres_for as seen_to
 from uwaug.transforms.random_underwater import SEVERITIES
@@ -490,7 +489,7 @@ def test_says_once_where_nothing_is_left_to_see() -> None:
 @pytest.mark.usefixtures("nothing_is_said")
 def test_doubts_the_first_maps_of_a_process() -> None:
     aug, shares = RandomUnderwater(), torch.linspace(0.01, 1, 24 * 33).reshape(1, 24, 33)
-    with pytest.warns(UserWarning, match=r"distances look relative, .* Inverse\(near, far\)"):
+    with pytest.warns(UserWarning, match=r"0…1, which looks relative: .*Inverse\(near, far\)"):
         aug(picture(), shares)
     aug(picture(), shares)  # silent: a warning would be an error
 
@@ -528,7 +527,6 @@ def test_says_once_that_a_water_is_none(
     water: Any, light: Any, metres: float, message: str, host: bool, monkeypatch: Any
 ) -> None:
     monkeypatch.setattr(checks, "on_host", lambda x: host)
-    monkeypatch.setattr(first_maps, "said", True)  # these maps are odd in other ways, too
     aug, z = RandomUnderwater(water, light=light), torch.full((1, H, W), metres)
     with pytest.warns(UserWarning, match=message):
         aug(picture(), z)

@@ -279,7 +279,7 @@ class RandomWater(Noun):
         return water.with_contents(contents), contents
 
     def farthest(self, water: Water | Medium, draw: Drawn) -> float:
-        """Distance [m] within which a scene is placed: there, pure water leaves what is asked for."""
+        """Distance [m] within which a scene is placed: pure water leaves what is asked for."""
         asked = draw.get("contrast")
         if asked is None or isinstance(water, Medium):
             return math.inf
@@ -390,7 +390,8 @@ def _contents(water: Water, contrast: float, metres: float) -> float:
     """Factor of what is in a water that leaves this contrast at a distance [m] by daylight, or the
     most: next to nothing is in type I.
     """
-    return min(water.contents_for(contrast, metres), 2.0**_MOST_STOPS)
+    contents: float = water.contents_for(contrast, metres)
+    return min(contents, 2.0**_MOST_STOPS)
 
 
 def _contents_under(

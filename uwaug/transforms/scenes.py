@@ -13,7 +13,7 @@ from uwaug._support import checks
 from uwaug._support.nouns import Drawn
 from uwaug._support.once import Once
 from uwaug._support.types import ColorSpace
-from uwaug.distance.doubts import first_maps
+from uwaug.distance.doubts import question
 from uwaug.distance.sizes import brought_to
 from uwaug.distance.sources import Metres, Source
 from uwaug.distance.unknown import FARTHEST_SEEN
@@ -215,7 +215,7 @@ def _metres_of(
         if not draw.applied:
             continue
         if metres is not None and isinstance(source, Metres) and checks.on_host(picture):
-            first_maps.question(metres, picture, stacklevel=5)
+            question(metres, stacklevel=5)
         if metres is None or source != _WHOLE_MAPS:
             srgb = picture
             if source.reads_pictures and color_space == "linear":
