@@ -8,12 +8,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import ndimage
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
 from uwaug._support import checks, codec
-from uwaug._support.compiled import kept, wanted
+from uwaug._support.compiled import are_loaded, kept, wanted
 from uwaug._support.nouns import Drawn
 from uwaug._support.ranges import Range
 from uwaug.distance import cue
@@ -92,9 +91,11 @@ def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
     """Draw relative distances (HxW), alike to the left and the right: 0 near, 1 far, `_OPEN` open
     water; from their logarithms, up to scale and shift, and probabilities of open water.
     """
+    from scipy.ndimage import label
+
     height, width = log.shape
     openness = np.clip((is_open - _OPEN_FROM) / (_OPEN_TO - _OPEN_FROM), 0, 1)
-    patches, _ = ndimage.label(openness > 0)
+    patches, _ = label(openness > 0)
     shares = np.bincount(patches.ravel()) / patches.size
     openness[shares[patches] < _LEAST_OPEN_SHARE] = 0
     closed = rng.uniform() > _OPEN_PROBABILITY or (is_open > _SURE).mean() < _LEAST_OPEN_SHARE
@@ -148,10 +149,10 @@ def _box(size: int) -> Floats:
 def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
     """Put the colours of a picture (3xHxW) into `lines` (4xhxw), brought to its size; 0…highest."""
     is_read = picture.is_cpu and picture.dtype in (torch.uint8, torch.float32)
-    if is_read and wanted() and (loop := _compiled()):
+    if is_read and are_loaded() and wanted():
         result = np.empty(picture.shape[1:], np.float32)
         places = [_places(*sides) for sides in zip(lines.shape[1:], picture.shape[1:], strict=True)]
-        loop(lines, picture.numpy(), *places, np.float32(highest), result)
+        _compiled()(lines, picture.numpy(), *places, np.float32(highest), result)
         return torch.from_numpy(result)
     weights = torch.from_numpy(lines).to(picture.device)[None]
     large = interpolate(weights, picture.shape[1:], mode="bilinear")[0]
@@ -168,11 +169,7 @@ def _places(small: int, large: int) -> tuple[Any, Floats]:
 
 @cache
 def _compiled() -> Any:
-    """The compiled `_enlarge`, if there is numba."""
-    try:
-        return kept(_enlarge)
-    except ImportError:
-        return None
+    return kept(_enlarge)
 
 
 def _enlarge(lines: Any, picture: Any, rows: Any, columns: Any, highest: Any, out: Any) -> None:

@@ -390,8 +390,7 @@ def _contents(water: Water, contrast: float, metres: float) -> float:
     """Factor of what is in a water that leaves this contrast at a distance [m] by daylight, or the
     most: next to nothing is in type I.
     """
-    contents: float = water.contents_for(contrast, metres)
-    return min(contents, 2.0**_MOST_STOPS)
+    return min(water.contents_for(contrast, metres), math.exp2(_MOST_STOPS))
 
 
 def _contents_under(
