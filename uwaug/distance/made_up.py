@@ -40,9 +40,8 @@ class MadeUp(Placed):
 
     A small network in the package guesses what is nearer than what, and where open water is, such
     as sky. An exponent, a smooth field, and the presence of open water (in three of four) are
-    drawn. Open water lies at the far end, where the water hides it; it is endless where near and
-    far are given, or the water is brought to a contrast. That teaches that water hides far things
-    more than near ones. It is no truth to restore or measure by.
+    drawn. Open water lies at the far end; it is endless where near and far are given, or a
+    contrast. It is no truth to restore or measure by.
 
     Attributes:
         near, far: see `Placed`; near above 0.
@@ -139,7 +138,6 @@ def _guided(values: Floats, colours: Floats) -> Floats:
 
 @cache
 def _box(size: int) -> Floats:
-    """Matrix that takes means over windows of a line."""
     places = np.arange(size)
     window = abs(places[:, None] - places) <= _GUIDE_PX
     box: Floats = (window / window.sum(1, keepdims=True)).astype(np.float32)
@@ -147,7 +145,6 @@ def _box(size: int) -> Floats:
 
 
 def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
-    """Put the colours of a picture (3xHxW) into `lines` (4xhxw), brought to its size; 0…highest."""
     is_read = picture.is_cpu and picture.dtype in (torch.uint8, torch.float32)
     if is_read and are_loaded() and wanted():
         result = np.empty(picture.shape[1:], np.float32)
@@ -161,7 +158,6 @@ def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
 
 
 def _places(small: int, large: int) -> tuple[Any, Floats]:
-    """Pixel of a small line before the middle of each pixel of a large one, and the way beyond."""
     places = ((np.arange(large) + 0.5) * (small / large) - 0.5).clip(0, small - 1)
     before = np.minimum(places.astype(np.int64), max(small - 2, 0))
     return before, (places - before).astype(np.float32)

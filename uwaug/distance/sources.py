@@ -26,8 +26,8 @@ from uwaug.distance.unknown import (
 
 _Policy = Literal["error", "fill", "behind", "far"]
 Holes = _Policy | float
-"""Treatment of pixels without a distance: an error; a distance from around; one from behind, for
-depth cameras (see `fill_unknown`); open water; or a number of metres.
+"""Pixels without a distance: an error; filled from around, or from behind, for depth cameras (see
+`fill_unknown`); open water; or a number of metres.
 """
 
 NEAR_LEFT, FAR_LEFT = (0.25, 0.65), (0.005, 0.05)
@@ -60,8 +60,8 @@ class Source(Noun):
     def placed(
         self, drawn: Drawn, metres_for: Callable[[float], float], farthest: float = math.inf
     ) -> dict[str, Any]:
-        """The draw of a picture in its water, which leaves shares of contrast at so many m, and
-        where the scene ends within `farthest` m.
+        """The draw of a picture in its water, which leaves shares of contrast at so many metres; at
+        most `farthest` m large.
         """
         return dict(drawn)
 
@@ -89,9 +89,8 @@ class Metres(Source):
 
     Attributes:
         holes: treatment of NaN, 0 and negative distances, see `Holes`; of +inf that is scattered
-            among near pixels; and of stand-ins beyond 50 m, far from all others, such as 65.535 or
-            1000. With "error" a stand-in from 100 m on is open water, as are +inf, which is told
-            where it is scattered, and 1e7 m and more; a nearer stand-in stays, with a warning.
+            among near pixels; and of the largest number of a type, such as 65.535. With "error" all
+            from 100 m on is open water, as is 1e7 m; what is nearer stays, with a warning.
         planar: maps hold depth along the optical axis, as depth cameras and renderers write it.
     """
 
@@ -176,8 +175,8 @@ class Relative(Placed):
     Attributes:
         near, far: see `Placed`.
         gamma: exponent; a number or (low, high).
-        holes: treatment of NaN and of stand-ins such as −1, see `Holes`; "error" only warns of 0,
-            which may be near. Let geometric transforms pad with NaN.
+        holes: treatment of NaN and of numbers alone such as −1, see `Holes`; "error" only warns of
+            0, which may be near. Let geometric transforms pad with NaN.
     """
 
     gamma: Range = number(1.0, 1e-3)
@@ -204,8 +203,8 @@ class Inverse(Placed):
 
     Attributes:
         near, far: see `Placed`; near above 0.
-        holes: treatment of NaN, infinite values, and stand-ins, see `Holes`; "error" only warns of
-            0, which may be the sky.
+        holes: treatment of NaN, infinity and numbers alone, see `Holes`; "error" only warns of 0,
+            which may be the sky.
     """
 
     holes: Holes = "error"
@@ -263,9 +262,6 @@ def require_ends(near: Range | None, far: Range | None) -> float:
 
 
 def _without_stand_ins(x: Tensor, holes: Holes) -> Tensor:
-    """Put NaN in place of stand-ins in a map of relative or inverse depth. With "error", refuse
-    them; but 0, which may be near or the sky, stays with a warning.
-    """
     alone = of_shares(x)
     if not bool(alone.any()):
         return x

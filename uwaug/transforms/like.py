@@ -199,7 +199,7 @@ def like(
 
 
 class _Scene(NamedTuple):
-    """A small picture with its map, and the transform as its small view needs it."""
+    """A small picture with its map, and the transform in its view."""
 
     picture: Tensor
     metres: Tensor | None
@@ -227,7 +227,6 @@ class _Trials:
         return self.tried(_Draw(kept, first, []))
 
     def between(self, first: _Draw, second: _Draw) -> _Draw:
-        """A draw in the water of the first, with numbers between those of both."""
         mixed = self._mixed(first.sample, second.sample)
         return self.tried(_Draw(mixed, second.first + 1, []))
 
@@ -245,7 +244,6 @@ class _Trials:
         return mixed
 
     def tried(self, draw: _Draw) -> _Draw:
-        """The same draw, tried on one more picture."""
         scene = self.scenes[(draw.first + len(draw.features)) % len(self.scenes)]
         (sample,) = self.augment.make_params(scene.picture, self.generator)["samples"]
         params = {"samples": [_with_kept({**sample, "applied": True}, draw.sample)]}
@@ -256,7 +254,6 @@ class _Trials:
         return draw
 
     def best(self, pool: list[_Draw], photograph: Values, tries: float, keep: int) -> list[_Draw]:
-        """The draws nearest to a photograph, of a pool to which some between them are added."""
         unlikeness = partial(_unlikeness, photograph=photograph)
         parents = sorted(pool, key=unlikeness)[:_PARENTS]
         for _ in range(round(_BETWEEN_SHARE * tries)):
@@ -271,14 +268,12 @@ class _Trials:
 
 
 def _without_seeds(draw: Mapping[str, Any]) -> dict[str, Any]:
-    """A noun's draw without what belongs to a picture."""
     kept = {name: value for name, value in draw.items() if not name.endswith("seed")}
     inner = {n: _without_seeds(value) for n, value in kept.items() if isinstance(value, Mapping)}
     return kept | inner
 
 
 def _with_kept(sample: Record, kept: Mapping[str, Any]) -> Record:
-    """A sample with kept values in place of its own."""
     changed = dict(sample)
     for name, value in kept.items():
         if isinstance(value, tuple):  # as lists are read
@@ -316,19 +311,16 @@ def _small(name: str, tensors: Any, channels: int) -> list[tuple[Tensor, float]]
 
 
 def _features(srgb: Tensor) -> Values:
-    """The water features (12) of a picture (3xHxW), in standard deviations of photographs."""
     features = water_features(srgb.permute(1, 2, 0).numpy())
     values: Values = np.array([features[name] for name in WATER_FEATURES]) / _UNITS
     return values
 
 
 def _unlikeness(draw: _Draw, photograph: Values) -> float:
-    """Distance of a draw from a photograph: mean over the pictures on which it was tried."""
     return float(np.sqrt(((np.array(draw.features) - photograph) ** 2).mean(1)).mean())
 
 
 def _doubt(best: list[_Draw], photograph: Values, unlikeness: float) -> str:
-    """A sentence on what is off with draws that are so far from a photograph; else empty."""
     if unlikeness < _FAR_FROM:
         return ""
     excess = np.mean([np.mean(draw.features, 0) for draw in best], 0) - photograph

@@ -35,9 +35,8 @@ def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool)
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if "torchvision.tv_tensors" in sys.modules and (others := [*_images(sample, "sample")][1:]):
-        cure = "one record degrades both: transform(image, distance, make_params(image))"
-        got = f"{others[0]} is a second picture, which would stay dry"
-        raise ValueError(f"{got}: {cure}; or give it as a plain tensor")
+        cure = "transform(image, distance, record) takes one record for both"
+        raise ValueError(f"{others[0]} is a second picture, which would stay dry: {cure}")
     if isinstance(sample, Mapping):
         image = _leaf(sample, keys[0], "sample")
         distance = _leaf(sample, keys[1], "sample") if reads_maps else sample.get(keys[1])
@@ -56,7 +55,6 @@ def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool)
 
 
 def _images(value: Any, name: str) -> Iterator[str]:
-    """Names of the torchvision `Image`s and `Video`s in a sample."""
     tensors = sys.modules["torchvision.tv_tensors"]
     if isinstance(value, (tensors.Image, tensors.Video)):
         yield name
@@ -67,7 +65,6 @@ def _images(value: Any, name: str) -> Iterator[str]:
 
 
 def _is_map(value: Any, image: Any) -> bool:
-    """True if a value after an image can be nothing but a map of distances."""
     are_tensors = isinstance(value, Tensor) and isinstance(image, Tensor)
     if not are_tensors or not value.is_floating_point() or not 3 <= value.ndim == image.ndim:
         return False

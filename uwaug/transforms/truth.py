@@ -26,8 +26,7 @@ class Coefficients(NamedTuple):
 
         gain·(ambient·J·e^(−beta_d·z) + b_inf·(1 − e^(−beta_b·z)))
 
-    Light at depth and endless veil are the water's; the rates are the nearest single ones to its
-    many, by least squares over the picture.
+    The rates are the nearest single ones to the water's many, by least squares over the picture.
 
     Attributes:
         beta_d, beta_b: attenuation of the scene's light, and of the veil, 1/m.
