@@ -146,8 +146,8 @@ class Network(Source):
         channels, *sides = entry.shape[1:] if len(entry.shape) == 4 else [0, 0, 0]
         are_colours = channels in (3, None) or isinstance(channels, str)
         if not are_colours or entry.type not in _TYPES:
-            got = f"{entry.shape}, {entry.type}"
-            raise ValueError(f"{self.model} must take (1, 3, h, w) of floating point, got {got}")
+            got = f"got {entry.shape}, {entry.type}"
+            raise ValueError(f"{self.model} must take (1, 3, h, w) of floating point, {got}")
         short, long = sorted(image.shape[-2:])
         scale = self.short_side / max(short, long / _LONGEST)
         size = []
@@ -160,8 +160,8 @@ class Network(Source):
         x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
         depth = session({entry.name: x.to(_TYPES[entry.type])}).float()
         if depth.ndim not in (3, 4) or depth.shape[:-2].numel() != 1:
-            got = tuple(depth.shape)
-            raise ValueError(f"{self.model} must give (1, h, w) or (1, 1, h, w), got {got}")
+            got = f"got {tuple(depth.shape)}"
+            raise ValueError(f"{self.model} must give (1, h, w) or (1, 1, h, w), {got}")
         depth = depth.reshape(1, 1, *depth.shape[-2:])
         return interpolate(depth, image.shape[-2:], mode="bilinear", align_corners=False).to(image)
 
