@@ -84,7 +84,7 @@ class Network(Source):
 
     @property
     def _opened(self) -> Session:
-        """The file's session. The hub is asked here: a preset of a stranger fetches nothing."""
+        # the hub is asked here: a preset of a stranger fetches nothing
         if self._session is None:
             path = Path(cast(str, self.model))
             path = path if path.is_file() else _fetched(str(self.model), self.revision)
@@ -127,7 +127,7 @@ class Network(Source):
             (B, 1, H, W) or (1, H, W), on the device of `image`; what `holds` says.
 
         Raises:
-            ValueError: `image` leaves [0, 1], or the file is no network that gives a map.
+            ValueError: `image` leaves [0, 1], or the file gives no map.
         """
         if callable(self.model):
             return self.model(image)

@@ -69,15 +69,14 @@ class Source(Noun):
         """Compute the distances of a picture: metres above 0, or +inf for open water.
 
         Args:
-            distance (1xhxw tensor): the picture's map, of its aspect, if the source reads maps. The
-                result has its size.
+            distance (1xhxw tensor): the map, of the picture's aspect, if the source reads maps.
             image (3xHxW tensor): the picture; uint8, or floating point in 0…1.
             drawn: numbers that the picture has drawn, by name.
             view: focal_px (px of the picture), which planar maps need; and center, the pixel (x, y)
                 of the optical axis, or None for the middle.
 
-        Raises:
-            ValueError: if the map holds something else, or has holes without a treatment.
+        Returns:
+            1xhxw, of the map's size or the picture's. ValueError where a map holds something else.
         """
         raise NotImplementedError
 

@@ -122,13 +122,11 @@ class SampleTransform(nn.Module):
         """The transform with randomness from a key: the same result in any worker, in any order.
 
         Args:
-            seed: of the run.
-            epoch: of the pass through the data.
+            seed, epoch: of the run, and of the pass through the data.
             index: of the picture (or batch); a number, or a name such as a path. "7" is 7.
 
         Returns:
-            A function of the same inputs, whose record is
-            `make_params(image, generator_of(seed, epoch, index))`.
+            A function of the same inputs, of the record `make_params(image, generator_of(…))`.
         """
         return partial(self._apply_with, key_of(seed, epoch, index))
 
@@ -151,7 +149,7 @@ class SampleTransform(nn.Module):
 
 
 def key_of(seed: int, epoch: int, index: int | str) -> int:
-    """The seed of a key, see `at`: 32 bits, all that a generator of torch takes."""
+    """The seed of a key, see `at`: the 32 bits that a generator of torch takes."""
     name = index if isinstance(index, str) else whole_number(index)
     text = f"{whole_number(seed)}/{whole_number(epoch)}/{name}"
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest())
