@@ -341,7 +341,7 @@ def test_a_scene_that_is_made_up_is_the_same_at_every_grade() -> None:
         assert all(torch.equal(other, made[0]) for other in made)
 
 
-@pytest.mark.parametrize("water", ["II", TANK, COAST, RandomWater(["I", COAST], mixing=0.5), None])
+@pytest.mark.parametrize("water", ["II", TANK, COAST, RandomWater(["IA", COAST], mixing=0.5), None])
 def test_a_visibility_is_reached_at_any_distance(water: Any) -> None:
     noun = water if isinstance(water, RandomWater) else RandomWater(water)
     aug = RandomUnderwater(replace(noun, visibility=(3.0, 9.0)))
