@@ -9,7 +9,7 @@ import pytest
 import torch
 from referees import reference
 from referees.terms import check
-from scenes import LAW, coefficients, rand, stepped
+from scenes import coefficients, rand, stepped
 from torch import Tensor
 
 from uwaug import Development, Medium, PointSpread, Underwater, Water, form_image
@@ -85,17 +85,6 @@ def test_width_laws(laws: Any) -> None:
     medium = Medium.stack([coefficients(3, law) for law in laws])
     image, z = torch.from_numpy(reference.picture(28, 44))[None], stepped(1, 1, 28, 44)
     check(form_image(image, z, medium), image, z, medium)
-
-
-@pytest.mark.parametrize(
-    "law", [PointSpread.none(), LAW, PointSpread(0.03 * 400.0, 0.62, "exponential")], ids=str
-)
-def test_what_arrives_of_a_white_wall_is_the_signal(law: PointSpread) -> None:
-    medium, image = coefficients(3, law), torch.full((1, 3, 40, 30), 0.8).double()
-    z = stepped(1, 1, 40, 30)
-    terms = form_image(image, z, medium)
-    arrives = terms.direct + terms.forward
-    torch.testing.assert_close(arrives, 0.8 * medium.signal(z), rtol=0, atol=1e-7)
 
 
 def test_one_pixel_of_open_water_does_not_spoil_the_others() -> None:

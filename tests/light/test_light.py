@@ -26,7 +26,7 @@ from uwaug import (
     load_camera,
 )
 from uwaug.light import Lamp
-from uwaug.optics.curves import Curves, added, passed
+from uwaug.optics.curves import Curves
 from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.view import Rays, View
 
@@ -64,17 +64,6 @@ def test_lights_add_and_daylight_is_a_factor(medium: Medium) -> None:
     parts = [Light((lamp,), 0.0).curves(medium, z, WIDE) for lamp in (BESIDE, AROUND)]
     for sum_of_all, *lamps, day in zip(both, *parts, medium.curves(z), strict=True):
         torch.testing.assert_close(sum_of_all, sum(lamps) + 0.3 * day)
-
-
-def test_numbers_of_one_light_are_diagonals_beside_matrices_of_another() -> None:
-    image, z = scene()
-    numbers, matrices = MEDIUM.curves(z), SPECTRAL.curves(z)
-    for both in (added(numbers, matrices), added(matrices, numbers)):
-        for name in ("direct", "scatter"):
-            curves = (getattr(x, name) for x in (both, numbers, matrices))
-            ours, one, other = (passed(curve, image) for curve in curves)
-            torch.testing.assert_close(ours, one + other)
-        torch.testing.assert_close(both.veil, numbers.veil + matrices.veil)
 
 
 def test_what_arrives_is_the_spectral_integral() -> None:
@@ -159,17 +148,6 @@ def test_single_precision_is_enough() -> None:
         assert float((found - wanted).square().mean().sqrt()) < 2e-6
 
 
-def test_each_picture_has_its_water() -> None:
-    image, z = scene()
-    media = [MEDIUM, Medium.from_water("I")]
-    light = Light((BESIDE,))
-    both = light.curves(Medium.stack(media), z, WIDE)
-    for n, medium in enumerate(media):
-        for ours, alone in zip(both, light.curves(medium, z[n : n + 1], WIDE), strict=True):
-            torch.testing.assert_close(ours[n : n + 1], alone)
-    assert form_image(image[:1], z[:1], Medium.stack(media), light=light).image.shape[0] == 2
-
-
 def test_a_lamp_shows_where_daylight_is_gone() -> None:
     image, z = scene()
     deep = Medium.from_water("7C", vertical_depth=60.0)
@@ -233,15 +211,6 @@ def test_a_drawn_field_moves_no_lamps() -> None:
     ):
         ours, theirs = found(image, z, params), wanted(image, z, without)
         torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-5)
-
-
-def test_objects_are_judged_under_their_light() -> None:
-    night = Medium.from_water("II", vertical_depth=60.0, g=0.05)
-    lamp = Lamp((0.3, 0.0, 0.0), 8.0, (-0.5, 0.0, 1.0), cone=25.0)
-    z = torch.full((1, 40, 60), 1.0)
-    left = contrast_left(z, night, light=Light((lamp,)))[0]
-    assert left[12:28, 2:14].mean() > 0.1
-    assert left[12:28, 50:59].mean() < 0.1 * left[12:28, 2:14].mean()
 
 
 def test_modules_take_a_light() -> None:

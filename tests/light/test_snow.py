@@ -12,7 +12,6 @@ from scenes import picture, rand
 from torch import Tensor
 
 from uwaug import (
-    Development,
     Lamp,
     Light,
     MarineSnow,
@@ -163,23 +162,6 @@ def test_number_and_sizes_are_those_of_the_water(drift) -> None:
     expected = 20_000 * volume * (1 - 0.01)
     assert abs(count - expected) < 4 * math.sqrt(expected)
     assert abs(at_2_mm - expected / 16 * (1 - 0.16)) < 4 * math.sqrt(expected / 16)
-
-
-def test_more_of_it_adds_particles() -> None:
-    few, many = (replace(SNOW, density=density).particles(0.6, 0.4) for density in (500, 900))
-    np.testing.assert_array_equal(many.z[: len(few.z)], few.z)
-
-
-def test_the_rest_of_a_picture_stays() -> None:
-    image, z = 0.4 * picture(*SIZE), far().float()
-    pictures = [
-        Underwater(medium, None, development=Development("auto"), light=LAMPS)(image, z)
-        for medium in (WATER, WATER.with_snow(replace(SNOW, density=200)))
-    ]
-    changed = pictures[1] - pictures[0]
-    assert changed.min() > -1e-5
-    assert ((changed.abs() < 1e-5).float().mean()) > 0.5
-    assert changed.max() > 0.05
 
 
 @pytest.mark.parametrize("drift", [(0.05, 0.0, 0.0), (-0.03, 0.02, 0.0), (0.01, 0.0, -0.04)])

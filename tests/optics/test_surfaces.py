@@ -166,15 +166,7 @@ def test_a_lamp_lights_surfaces_with_spectra(tolerance: float) -> None:
     np.testing.assert_allclose(scattered.numpy(), wanted, rtol=0, atol=1e-7 + 3 * tolerance)
 
 
-def test_media_of_both_kinds_under_a_lamp() -> None:
-    media = [Medium.from_water("3C"), medium_of("7C")]
-    stacked, z = Medium.stack(media).under_lamp().signal(torch.tensor(1.5)), torch.tensor(1.5)
-    for ours, medium in zip(stacked, media, strict=True):
-        alone = medium.under_lamp().signal(z)[0]
-        torch.testing.assert_close(ours, alone if medium.is_spectral else torch.diag(alone))
-
-
 def test_a_camera_whose_channels_see_the_same_is_refused() -> None:
     same = Camera([400, 700], [[1, 1, 1], [2, 2, 2.001]])
-    with pytest.raises(ValueError, match=r"cannot tell three colours apart: cover .*grey"):
+    with pytest.raises(ValueError, match=r"cannot tell three colours apart: .*grey"):
         medium_of(camera=same)

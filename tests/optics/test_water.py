@@ -55,7 +55,7 @@ def test_equality_sees_every_field(changes: dict[str, Any]) -> None:
     [
         ("wavelengths", [], "shape"),
         ("wavelengths", [400, 500, 500, 700], "500 after 500"),
-        ("wavelengths", [400, np.nan, 600, 700], "1 NaN"),
+        ("wavelengths", [400, np.nan, 600, 700], "nan"),
         ("wavelengths", [0, 500, 600, 700], "0…700"),
         ("wavelengths", "blue", "'blue'"),
         ("a", [0.1, 0.2], "shape"),
