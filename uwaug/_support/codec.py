@@ -116,13 +116,8 @@ def _scalar(name: str, value: Any, hints: tuple[Any, ...]) -> Any:
     raise ValueError(f"{name} must be {words}, got {value!r:.80}")
 
 
-_IN_WORDS = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "a string",
-    NoneType: "none",
-}
+_IN_WORDS = {bool: "true or false", int: "a whole number", float: "a number"}
+_IN_WORDS |= {str: "a string", NoneType: "none"}
 
 
 def _scalar_type(hint: Any) -> type | None:

@@ -28,9 +28,8 @@ class Scattering:
         g = .05·(1 − ⟨cos θ⟩)/.076,   μ = (⟨(1 − .64 sin²θ)^(−3/2)⟩ − 1 + g)/2.083.
 
     * g: light that is scattered by a little still carries the picture, so G = a + g·b. By Monte
-      Carlo transport g goes with (1 − ⟨cos θ⟩)^1.05, within 12 % (`python -m benchmarks physics`);
-      the factor is that of `PointSpread.calibrated`. Beside the phase function it rises with a·z,
-      to the power .31.
+      Carlo transport g goes with (1 − ⟨cos θ⟩)^1.05, within 12 % (`python -m benchmarks physics`),
+      and with (a·z)^.31; the factor is that of `PointSpread.calibrated`.
     * μ: of a level ray in daylight whose radiance rises with s = sin(elevation) as (1 − .8 s)^−2,
       the law of `uwaug.light.direction`, relative to a white vertical plate there. In light that is
       alike from all sides μ would be g. By Monte Carlo transport of an overcast sky with Petzold's
