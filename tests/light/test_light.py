@@ -288,6 +288,8 @@ def test_grey_surfaces_stay_grey_beside_spectra() -> None:
     both = Medium.stack(
         [grey, Medium.from_water("II", surfaces="spectral", point_spread=PointSpread.none())]
     )
+    stacked, single = (light.curves(medium, z.double(), WIDE).direct for medium in (both, grey))
+    torch.testing.assert_close(stacked[:1].diagonal(dim1=1, dim2=2).movedim(-1, 1), single)
     for kind in (torch.float32, torch.float64):
         values = image.to(kind), z.to(kind)
         alone = Underwater(grey, None, light=light)(*values)
