@@ -44,7 +44,7 @@ _GROUPS = {
     "Water": ("water", "contrast", "severity", "like", "preset", "plain", "set_", "options"),
     "Run": ("seed", "workers", "resume", "force", "ray", "help"),
     "Films": ("sequence",),
-    "Labels": ("labels", "min_contrast"),
+    "Labels": ("labels", "classes", "min_contrast"),
 }
 
 
@@ -143,6 +143,9 @@ def degrade(
     labels: Annotated[
         str | None, typer.Option(help=f"Labels, or a pattern of them: {formats()}.")
     ] = None,
+    classes: Annotated[
+        str | None, typer.Option(help="File with the classes of YOLO's labels, as data.yaml.")
+    ] = None,
     min_contrast: Annotated[
         float | None, typer.Option(help="Least contrast left for a label to be kept, 0…1.")
     ] = None,
@@ -203,6 +206,7 @@ def degrade(
             seed=seed,
             variants=variants,
             min_contrast=min_contrast,
+            classes=classes,
             maps=maps,
             **run_values,
         )

@@ -32,6 +32,7 @@ class Recipe:
         seed: seed of all random numbers.
         variants: number of variants of each picture.
         min_contrast: least contrast left of an object, 0…1, for its label to be kept.
+        classes: file that names the classes of YOLO's labels, see `open_labels`.
         drift: drift of a film's field and snow, m a frame.
         motion: motion of its camera to the right, down and forward, m a frame; or, as "12px", to
             the right, by which what is at the median distance moves so many px to the left.
@@ -45,6 +46,7 @@ class Recipe:
     seed: int = 0
     variants: int = 1
     min_contrast: float | None = None
+    classes: str | None = None
     drift: float = 0.004
     motion: tuple[float, float, float] | str = (0.0, 0.0, 0.0)
     quality: float = 95

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from uwaug._support.atomic import read_text, write_whole
+from uwaug.files.formats import ENDINGS as LABEL_ENDINGS
 from uwaug.files.pictures import ENDINGS, MAP_ENDINGS
 from uwaug.files.search import Exclude, pictures_in
 
-LABEL_ENDINGS = (".txt", ".png", ".bmp", ".gif", ".tif", ".tiff")  # of a picture
 SPLITS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
 
 _FIELD = re.compile(r"\{(\w*)\}")

@@ -77,9 +77,11 @@ def degrade(
     if isinstance(source, MadeUp) and any(row.film for row in rows):
         raise ValueError("distance made up from each frame would flicker: give files, or metres")
     if any(row.labels for row in rows):
-        labels = open_labels(rows)
-    elif recipe.min_contrast is not None:
-        raise ValueError("min_contrast (--min-contrast) is of labels, of which none are given")
+        labels = open_labels(rows, recipe.classes)
+    for name in ("min_contrast", "classes"):
+        if labels is None and getattr(recipe, name) is not None:
+            flag = f"--{name.replace('_', '-')}"
+            raise ValueError(f"{name} ({flag}) is of labels, of which none are given")
     folder = os.path.realpath(out)
     return run(
         _Underwater(recipe, out),
