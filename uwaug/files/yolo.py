@@ -142,9 +142,7 @@ def _read(file: Path) -> Entry:
     except yaml.YAMLError as error:
         raise ValueError(f"{file}: is no YAML file: {error}") from None
     if not isinstance(content, dict) or "names" not in content:
-        raise ValueError(
-            f"{file}: expected names of classes, as a data.yaml has, got {content!r:.80}"
-        )
+        raise ValueError(f"{file}: has no names of classes, as a data.yaml has")
     return content
 
 
