@@ -555,6 +555,46 @@ def test_what_one_validates_on_stays_dry(tmp_path: Path, case: str) -> None:
     assert notes[0] == (f"val is dry: {', '.join(dry)}" if dry else NO_VAL)
 
 
+LEAKS = [
+    # data.yaml; the list val.txt; splits of images/a/1.png and images/b/2.png; the one refused
+    ("val: images/b", "", ("", ""), "images/b/2.png is of val there, but of train here"),
+    ("val: images/b", "", ("", "train"), "images/b/2.png is of val there, but of train here"),
+    ("val: images/b", "", ("", "val"), ""),
+    ("val: images/b\ntrain: images/b", "", ("", "val"), ""),
+    ("val: images\ntrain: images", "", ("", ""), ""),  # as COCO128 has it
+    (
+        "val: [images/c, images/a]",
+        "",
+        ("test", "val"),
+        "images/a/1.png is of val there, but of test",
+    ),
+    ("val: /content/ds/b/images", "", ("", ""), "images/b/2.png is of val"),
+    ("val: /content/ds/b/images", "", ("", "train"), ""),
+    ("val: val.txt", "./images/b/2.png\n", ("", ""), "images/b/2.png is of val"),
+    ("val: val.txt", "./images/b/2.png\n", ("train", "val"), ""),
+    ("val: val.txt", "D:\\me\\b\\2.png\r\n", ("", ""), "images/b/2.png is of val"),
+    ("val: val.txt", "\n", ("", ""), ""),
+]
+
+
+@pytest.mark.parametrize("text, lines, splits, refused", LEAKS)
+def test_what_one_validates_on_is_not_trained_on(
+    tmp_path: Path, text: str, lines: str, splits: tuple[str, str], refused: str
+) -> None:
+    write(tmp_path / "data.yaml", f"{text}\nnames: [fish]\n")
+    write(tmp_path / "val.txt", lines)
+    table = []
+    for name, split in zip(("a/1", "b/2"), splits, strict=True):
+        picture = save(tmp_path / f"images/{name}.png", pixels())
+        labels = write(tmp_path / f"labels/{name}.txt", ALL)
+        table.append(Row(f"images/{name}.png", picture, labels=labels, split=split))
+    if refused:
+        with pytest.raises(ValueError, match=f"data.yaml: {refused}"):
+            open_labels(table)
+    else:
+        open_labels(table)
+
+
 POSES = {
     "0 .25 .5 .4 .9 .2 .5 2 .3 .6 1": [2, 3],
     "0 .25 .5 .4 .9 .2 .5 1": [1, 3],

@@ -4,7 +4,7 @@ import os
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import cycle
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Self
 
 from uwaug._support.atomic import read_text
@@ -46,9 +46,56 @@ class Yolo(PerPicture):
             got = f"objects of {min(counts)} numbers are polygons, or have keypoints"
             cure = "name classes (--classes), a data.yaml with kpt_shape: [how many, 2 or 3]"
             raise ValueError(f"{root}: {got}: {cure}, or of polygons with nothing but names")
-        return (
-            labels if source is None else replace(labels, description=_read(source), source=source)
-        )
+        if source is None:
+            return labels
+        described = replace(labels, description=_read(source), source=source)
+        described._require_apart(rows)
+        return described
+
+    def _require_apart(self, rows: Sequence["Row"]) -> None:
+        """Refuse to train on pictures that the data.yaml names as val, but not as train, too."""
+        own = {split: self._held(split, rows) for split in ("train", "val", "test")}
+        for row in rows:
+            split = row.split or "train"
+            if split != "val" and row.name in own["val"] - own[split]:
+                got = f"{row.name} is of val there, but of {split} here"
+                raise ValueError(f"{self.source}: {got}: write a table with the column split")
+
+    def _stated(self, split: str) -> list[Path]:
+        """Folders and lists that the data.yaml names for a split, there or not."""
+        assert self.source is not None
+        stated, root = self.description.get(split) or [], self.source.parent
+        folders = root / str(self.description.get("path", "")), root
+        paths = []
+        for place in map(str, [stated] if isinstance(stated, str) else stated):
+            # Roboflow's begin with ../
+            tried = [f / end for f in folders for end in (place, place.removeprefix("../"))]
+            path = next((path for path in tried if path.exists()), tried[0])
+            paths.append(Path(os.path.abspath(path)))
+        return paths
+
+    def _held(self, split: str, rows: Sequence["Row"]) -> set[str]:
+        """Names of rows whose pictures the data.yaml names for a split. Paths of another machine
+        are compared by their ends, and with rows of no split alone.
+        """
+        paths: set[str] = set()
+        ends: set[str] = set()
+        for path in self._stated(split):
+            lines = [line.strip() for line in _lines(path)] if path.is_file() else [str(path)]
+            for line in filter(None, lines):
+                file = os.path.abspath(path.parent / line)
+                parts = [part for part in PureWindowsPath(line).parts if part != "images"]
+                if os.path.exists(file):
+                    paths.add(file)
+                else:
+                    ends.add(parts[-1])
+        held = set()
+        for row in rows:
+            picture = Path(os.path.abspath(row.picture))
+            is_near = not row.split and not ends.isdisjoint(picture.parts)
+            if is_near or not paths.isdisjoint(map(str, (picture, *picture.parents))):
+                held.add(row.name)
+        return held
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         from uwaug._support.pixels import of_box, of_polygons
@@ -104,7 +151,8 @@ class Yolo(PerPicture):
         description: Entry = {split: f"{split}.txt" for split in splits}
         notes = [] if splits["train"] else ["no picture is of the split train: train.txt is empty"]
         if "val" not in splits:
-            dry = _dry_val(self.source, self.description)
+            paths = self._stated("val") if self.source else []
+            dry = [*map(str, paths)] if all(map(Path.exists, paths)) else []
             description |= {"val": dry} if dry else {}
             cure = "data.yaml has no val: add a folder of dry pictures to validate on"
             notes.append(f"val is dry: {', '.join(dry)}" if dry else cure)
@@ -120,18 +168,6 @@ class Yolo(PerPicture):
         lists = {f"{split}.txt": text.encode() for split, text in splits.items()}
         text = yaml.safe_dump(description, sort_keys=False, allow_unicode=True)
         return {**lists, _DATA: text.encode()}, notes
-
-
-def _dry_val(source: Path | None, description: Entry) -> list[str]:
-    """Absolute paths of all that a data.yaml names as val; none if any of it is not there."""
-    if source is None:
-        return []
-    stated, root = description.get("val") or [], source.parent
-    folders = root / str(description.get("path", "")), root
-    places = map(str, [stated] if isinstance(stated, str) else stated)  # Roboflow's begin with ../
-    tried = [[f / end for f in folders for end in (p, p.removeprefix("../"))] for p in places]
-    paths = [next((os.path.abspath(p) for p in each if p.exists()), "") for each in tried]
-    return paths if all(paths) else []
 
 
 def _read(file: Path) -> Entry:
