@@ -96,7 +96,7 @@ def labelled(
     table: Sequence[Row],
     out: Path,
     least: float | None = 0.05,
-    classes: Path | None = None,
+    classes: str | Path | None = None,
     notes: list[str] | None = None,
 ) -> list[list[Judged]]:
     """What a run does with the labels of some pictures, each in a process of its own."""
@@ -136,13 +136,6 @@ def test_classes_are_of_yolo(tmp_path: Path) -> None:
     file = write(tmp_path / "b.json", coco())
     with pytest.raises(ValueError, match=r"classes \(--classes\) are of YOLO's labels, got .*json"):
         open_labels(rows(file, "b.jpg"), tmp_path / "data.yaml")
-
-
-def test_without_a_limit_labels_stay_as_they_are(tmp_path: Path) -> None:
-    write(tmp_path / "labels/1.txt", "0 .75 .5 .5 1")
-    found = labelled(rows(tmp_path / "labels", "1.png"), tmp_path / "out", None)
-    assert found == [[(1, 0.01, True)]]
-    assert (tmp_path / "out/labels/1.txt").read_text() == "0 .75 .5 .5 1"
 
 
 HALVES = np.repeat(np.uint8([[0] * 4 + [1] * 4]), H, 0)
@@ -327,6 +320,7 @@ def test_odd_objects(tmp_path: Path, changes: dict[str, Any], contrast: float) -
         ("./x.jpg", "photos/deep/x.jpg", True),
         ("x.JPG", "photos/x.jpg", True),
         ("e\u0301 1.jpg", "photos/\xe9 1.jpg", True),
+        ("{folder}/x.jpg", "x.jpg", True),
         ("images/x.jpg", "photos/x.jpg", False),
         ("/home/me/ds/images/x.jpg", "ds/images/x.jpg", False),
         ("C:\\me\\reef\\x.jpg", "elsewhere/reef/x.jpg", False),
@@ -339,6 +333,7 @@ def test_odd_objects(tmp_path: Path, changes: dict[str, Any], contrast: float) -
 def test_a_file_name_is_the_end_of_a_path(
     tmp_path: Path, file_name: str, picture: str, is_of_it: bool
 ) -> None:
+    file_name = file_name.format(folder=tmp_path)
     file = write(tmp_path / "a.json", named(file_name))
     row = Row(picture, tmp_path / picture, labels=file)
     if is_of_it:
@@ -346,11 +341,6 @@ def test_a_file_name_is_the_end_of_a_path(
     else:
         with pytest.raises(ValueError, match="no file_name is the end of a path such as"):
             open_labels([row])
-
-
-def test_a_file_name_may_be_a_whole_path(tmp_path: Path) -> None:
-    file = write(tmp_path / "a.json", named(str(tmp_path / "x.jpg")))
-    assert open_labels([Row("x.jpg", tmp_path / "x.jpg", labels=file)]).of.keys() == {"x.jpg"}
 
 
 PATHS = st.lists(st.sampled_from("ab"), max_size=3).map(lambda folders: "/".join([*folders, "x"]))
@@ -465,53 +455,34 @@ def test_a_background_takes_no_labels_of_another(tmp_path: Path) -> None:
         open_labels([row, background])
 
 
-FISH = "names: {0: fish, 1: 'crab: red'}\n"
-DESCRIBED: dict[str, tuple[dict[str, str], str | None, dict[str, Any]]] = {
-    # files beside the folder of labels, the one that is named, and what the new data.yaml has
-    "all but places": (
-        {"data.yaml": f"path: a\nval: b\ndownload: |\n  import os\n{FISH}kpt_shape: [1, 3]\n"},
-        None,
-        {"names": {0: "fish", 1: "crab: red"}, "kpt_shape": [1, 3]},
-    ),
-    "a list": (
-        {"data.yaml": "{train: a, names: [fish], nc: 1}"},
-        None,
-        {"names": ["fish"], "nc": 1},
-    ),
-    "among the labels": (
-        {"labels/train/data.yaml": FISH},
-        None,
-        {"names": {0: "fish", 1: "crab: red"}},
-    ),
-    "the nearest": (
-        {"data.yaml": "names: [a]", "labels/data.yaml": "names: [b]"},
-        None,
-        {"names": ["b"]},
-    ),
-    "named": ({"data.yaml": FISH, "x.yml": "names: [a]"}, "x.yml", {"names": ["a"]}),
-    "in UTF-16": ({"data.yaml": "\ufeffnames: [a]"}, None, {"names": ["a"]}),
-    "none": ({"../data.yaml": FISH, "coco.yaml": FISH}, None, {"names": {0: "0"}}),
-}
+PLACED = "path: a\nval: b\ndownload: |\n  import os\n"
+DESCRIBED: list[tuple[dict[str, str], str | None, str | None]] = [
+    # files beside the folder of labels; the one that is named; the one that is taken
+    ({"data.yaml": f"{PLACED}names: {{0: fish, 1: 'crab: red'}}\nnc: 2"}, None, "data.yaml"),
+    ({"labels/train/data.yaml": "names: [a]"}, None, "labels/train/data.yaml"),
+    ({"data.yaml": "names: [a]", "labels/data.yaml": "names: [b]"}, None, "labels/data.yaml"),
+    ({"data.yaml": "names: [a]", "x.yml": "{train: c, names: [b]}"}, "x.yml", "x.yml"),
+    ({"../data.yaml": "names: [a]", "coco.yaml": "names: [b]"}, None, None),
+]
 
 
-@pytest.mark.parametrize("case", DESCRIBED)
-def test_classes_are_of_one_file(tmp_path: Path, case: str) -> None:
-    files, classes, expected = DESCRIBED[case]
-    folder = tmp_path / "data/ds"
-    # a box, and a keypoint that is no part of it
-    line = "0 .25 .5 .5 1 .9 .9 2\n" if "kpt_shape" in expected else "0 .25 .5 .5 1\n"
-    write(folder / "labels/train/1.txt", line)
+@pytest.mark.parametrize("files, classes, taken", DESCRIBED)
+@pytest.mark.parametrize("coding", ["utf-8-sig", "utf-16"])
+def test_classes_are_of_one_file(
+    tmp_path: Path, files: dict[str, str], classes: str | None, taken: str | None, coding: str
+) -> None:
+    folder, notes = tmp_path / "data/ds", []
+    write(folder / "labels/train/1.txt", ALL)
     for name, text in files.items():
-        write(folder / name, text.encode("utf-16" if case == "in UTF-16" else "utf-8"))
-    notes: list[str] = []
-    named_file = folder / classes if classes else None
-    table = rows(folder / "labels/train", "1.png")
-    ((label,),) = labelled(table, tmp_path / "out", classes=named_file, notes=notes)
-    assert label.contrast == 0.9
+        write(folder / name, text.encode(coding))
+    table, source = rows(folder / "labels/train", "1.png"), classes and folder / classes
+    labelled(table, tmp_path / "out", classes=source, notes=notes)
     written = yaml.safe_load((tmp_path / "out/data.yaml").read_text())
-    assert written == {"train": "train.txt", **expected}
-    source = "labels/train/data.yaml" if case == "among the labels" else [*files][-1]
-    told = NUMBERS if case == "none" else f"classes are those of {folder / source}"
+    expected = yaml.safe_load(files[taken]) if taken else {"names": {0: "0"}}
+    for key in ("path", "val", "download"):
+        expected.pop(key, None)
+    assert written == {**expected, "train": "train.txt"}
+    told = f"classes are those of {folder / taken}" if taken else NUMBERS
     assert notes == [NO_VAL, told]
 
 
