@@ -1,12 +1,14 @@
 """The table of a run: read from a file, proposed for a folder, refused where it is ambiguous."""
 
 import os
+import re
 import unicodedata
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import uwaug.files
 from uwaug.files import Row, propose, read_table, write_table
 from uwaug.files.search import left_out
 from uwaug.files.table import in_words, require_rows
@@ -339,3 +341,20 @@ def test_what_a_table_has_in_words() -> None:
         *("3 are of train, 3 are of val", "2 films, each in its own water"),
     ]
     assert second == "val is wet: 3 pictures"
+
+
+def test_the_layouts_of_the_manual() -> None:
+    guide = Path(uwaug.files.__file__).with_name("README.md").read_text(encoding="utf-8")
+    (block,) = (b for b in re.findall(r"```python\n(.*?)```", guide, re.DOTALL) if "TUM" in b)
+    touch("rgb/1.50.png rgb/1.90.png depth/1.49.png depth/1.93.png images/7.jpg labels/7.txt")
+    touch("image_2/03.png image_3/03.png z/image_2/03.npy z/image_3/03.npy")
+    touch("lists/val.txt")
+    Path("lists/val.txt").write_text("/content/fish/images/7.jpg\n")
+    exec(block, {})
+    assert columns(read_table("table.csv"), *Row._fields) == [
+        ("1.50.png", "rgb/1.50.png", "depth/1.49.png", None, "", "tum", 1.5),
+        ("1.90.png", "rgb/1.90.png", "depth/1.93.png", None, "", "tum", 1.9),
+        ("image_2/03.png", "image_2/03.png", "z/image_2/03.npy", None, "", "rig", 3),
+        ("image_3/03.png", "image_3/03.png", "z/image_3/03.npy", None, "", "rig", 3),
+        ("7.jpg", "images/7.jpg", None, "labels/7.txt", "val", "", None),
+    ]

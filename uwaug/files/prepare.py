@@ -118,7 +118,7 @@ def _require_metres(recipe: Recipe, name: str, z: Tensor, image: Tensor) -> None
         alone = of_metres(z) & (z < NO_RANGE)
         if bool(alone.any()):
             raise ValueError(in_words(z, alone))
-    elif isinstance(source, (Metres, Relative, Inverse)):
+    elif isinstance(source, (Metres, Relative, Inverse)) and source.holes != "error":
         source = replace(source, holes="far")  # filling takes seconds, and refuses little
     (draw,) = recipe.drawn(name, 0)["samples"]
     rays = recipe.transform.view.planar(image.shape[-1])

@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from uwaug._support.atomic import read_text, write_whole
-from uwaug.files.formats import ENDINGS as LABEL_ENDINGS
+from uwaug.files import formats
 from uwaug.files.pictures import ENDINGS, MAP_ENDINGS
 from uwaug.files.search import Exclude, pictures_in
 
 SPLITS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
 
+_LABEL_ENDINGS = (*formats.ENDINGS, *formats.OTHERS)  # the latter are refused with a cure
 _FIELD = re.compile(r"\{(\w*)\}")
 _NUMBER = re.compile(r"(\d+\.\d{3,}|\d+)")  # a whole one, or a time in seconds
 
@@ -141,7 +142,7 @@ def propose(
     folder = source.parent if source.is_file() else source
     files = _Files()
     map_of = _finder("distance", distance, MAP_ENDINGS, files)
-    labels_of = _finder("labels", labels, LABEL_ENDINGS, files)
+    labels_of = _finder("labels", labels, _LABEL_ENDINGS, files)
     rows = []
     for path in paths:
         place = path.relative_to(folder)
@@ -160,7 +161,7 @@ def propose(
     if distance is not None:
         _require_found("distance", distance, [row.distance for row in rows], rows, MAP_ENDINGS)
     if labels is not None:
-        _require_found("labels", labels, [row.labels for row in rows], rows, LABEL_ENDINGS)
+        _require_found("labels", labels, [row.labels for row in rows], rows, _LABEL_ENDINGS)
     return _timed(rows) if sequence else rows
 
 
@@ -292,7 +293,7 @@ def _require_found(
         folder = folder if folder.is_dir() else folder.parent
         ends = Counter(file.suffix for file in folder.rglob("*.*") if file.is_file())
         there = "".join(f"; found {n} files ending in {end}" for end, n in ends.most_common(1))
-        expected = os.path.splitext(rows[0].name)[0]
+        expected = Path(given, rows[0].name).with_suffix("") if Path(given).is_dir() else given
         got = f"{given} has a file for no picture: expected such as {expected}, ending in"
         cure = f"give a pattern with {{stem}}, or a table (.csv) with a column {column}"
         raise ValueError(f"{column}: {got} {', '.join(endings)}{there}: {cure}")
