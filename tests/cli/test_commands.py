@@ -156,19 +156,6 @@ def test_pictures_alone_get_distances_that_are_made_up(folder, run):
     assert written(folder / "wet") == written(folder / "again")
 
 
-def test_labels_of_pictures_alone(folder, run):
-    (folder / "labels").mkdir()
-    for name in ("a", "b"):
-        Image.fromarray(np.ones((24, 32), np.uint8)).save(f"labels/{name}.png")
-    flags = ("--labels", "labels", "--min-contrast", ".01", "--contrast", ".5")
-    code, out, err = run("degrade", "photos", *flags, "--workers", "1", "--out", "wet")
-    assert (code, err) == (0, "")
-    assert "2 of 2 labels kept" in out
-    plain = json.loads(next((folder / "wet").rglob("a.png.json")).read_text())
-    assert plain["recipe"]["transform"]["distance"] == {"kind": "MadeUp"}
-    assert plain["objects"][0]["contrast"] == pytest.approx(plain["contrast"], abs=1e-3)
-
-
 def test_the_help_of_degrade_groups_its_flags(run):
     code, out, err = run("degrade", "--help")
     assert (code, err) == (0, "")
@@ -320,23 +307,6 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
     assert run(*line, "--options", "own/o.toml")[0] == 0
     (sample,) = json.loads((folder / "wet/a.png.json").read_text())["params"]["samples"]
     assert sample["water"] == {"waters": ["harbour"], "mixing": 0, "vertical_depth": 0, "g": 0.05}
-
-
-def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
-    flags = ("degrade", "photos", *MAPS, "--out", "wet")
-    whole = (folder / "depth/a.png").read_bytes()
-    (folder / "depth/a.png").write_bytes(b"no picture")
-    code, out, err = run(*flags)
-    assert code == 1
-    assert "1 of 2 pictures written" in out
-    assert "a.png" in err
-    (folder / "depth/a.png").write_bytes(whole)
-    code, _, err = run(*flags)
-    assert code == 1
-    assert "wet is not empty, but of a run: " in err
-    code, out, _ = run(*flags, "--resume")
-    assert code == 0
-    assert "1 of 2 pictures written to wet, 1 were there" in out
 
 
 @pytest.mark.parametrize(

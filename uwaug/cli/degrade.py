@@ -186,15 +186,11 @@ def degrade(
         is_placed = distance is not None or has_maps or "distance" in values
         if plain and not (values["water"].get("waters") and is_placed):
             raise ValueError("--plain draws nothing: give both, one --water and --distance")
-        map_values: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
-        source, note = distances_of(
-            distance,
-            values.pop("distance", None),
-            **map_values,
-            has_maps=has_maps,
-            is_film=is_film,
-        )
-        augment = RandomUnderwater.from_dict({**values, "distance": source})
+        of_maps: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
+        of_table = {"has_maps": has_maps, "is_film": is_film}
+        stated = values.pop("distance", None)
+        values["distance"], note = distances_of(distance, stated, **of_maps, **of_table)
+        augment = RandomUnderwater.from_dict(values)
         if plain and not augment.distance.has_size:
             ends = "--set distance.near=1 --set distance.far=5"
             raise ValueError(f"--plain draws nothing, but this scene has no size: give {ends}")
@@ -202,7 +198,7 @@ def degrade(
         getattr(augment.distance, "file", None)
         recipe = Recipe(
             augment,
-            unit=map_values["unit"],
+            unit=of_maps["unit"],
             seed=seed,
             variants=variants,
             min_contrast=min_contrast,
@@ -217,24 +213,14 @@ def degrade(
             recipe, sentences = prepare(recipe, rows, references)
         for sentence in filter(None, (note, *sentences)):
             print(sentence, flush=True)
+        how: Any = {"workers": workers, "resume": resume, "force": force, "sheet": sheet}
         summaries = []
         for folder, left in _grades(severity).items():
+            graded = recipe if left is None else recipe.at_contrast(left)
             with counted() as progress:
-                summary = run(
-                    recipe if left is None else recipe.at_contrast(left),
-                    rows,
-                    out / folder,
-                    workers=workers,
-                    resume=resume,
-                    force=force,
-                    sheet=sheet,
-                    beside=references,
-                    ray=ray,
-                    progress=progress,
-                )
-            summaries.append(summary)
-            has_labels = any(row.labels for row in rows)
-            _print_summary(summary, out / folder, has_labels=has_labels, has_maps=has_maps)
+                how |= {"beside": references, "ray": ray, "progress": progress}
+                summaries.append(run(graded, rows, out / folder, **how))
+            _print_summary(summaries[-1], out / folder, has_maps=has_maps)
     end_if_failed([failure for summary in summaries for failure in summary.failures])
 
 
@@ -283,9 +269,9 @@ def _grades(severity: str | None) -> dict[str, float | None]:
     return {"": SEVERITIES[int(severity)]}
 
 
-def _print_summary(summary: "Summary", out: Path, *, has_labels: bool, has_maps: bool) -> None:
+def _print_summary(summary: "Summary", out: Path, *, has_maps: bool) -> None:
     print_counts(summary, "pictures", out)
-    if has_labels:
+    if any(result.row.labels for result in summary.results):
         count, kept = summary.objects
         print(f"{kept} of {count} labels kept")
     for note in summary.notes:
