@@ -158,10 +158,8 @@ def propose(
             if file is not None and file != row.picture:
                 taken.add(os.path.abspath(file))
     rows = [row for row in rows if os.path.abspath(row.picture) not in taken]
-    if distance is not None:
-        _require_found("distance", distance, [row.distance for row in rows], rows, MAP_ENDINGS)
-    if labels is not None:
-        _require_found("labels", labels, [row.labels for row in rows], rows, _LABEL_ENDINGS)
+    _require_found("distance", distance, rows, MAP_ENDINGS)
+    _require_found("labels", labels, rows, _LABEL_ENDINGS)
     return _timed(rows) if sequence else rows
 
 
@@ -281,13 +279,12 @@ def _finder(
 
 
 def _require_found(
-    column: str,
-    given: str | Path,
-    files: Sequence[Path | None],
-    rows: Sequence[Row],
-    endings: Sequence[str],
+    column: str, given: str | Path | None, rows: Sequence[Row], endings: Sequence[str]
 ) -> None:
     """Refuse a folder or a pattern by which no picture has a file, or two have the same."""
+    if given is None:
+        return
+    files = [getattr(row, column) for row in rows]
     if not any(files):
         folder = Path(_FIELD.split(str(given))[0])
         folder = folder if folder.is_dir() else folder.parent
