@@ -22,9 +22,9 @@ from uwaug._support.types import Array, ColorSpace, Shape
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.formation.colour import decoded, encoded, require_values
-from uwaug.formation.image import form_image
+from uwaug.formation.image import form
+from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
-from uwaug.optics.medium import Medium
 
 Places = NDArray[np.int64]
 
@@ -162,10 +162,11 @@ class Pictures:
             size=self.geometry.size,
         )
 
-    def rendered(self, medium: Medium) -> Tensor:
-        """The observed pictures (Bx3xHxW, linear light) as a water makes them of the clean."""
-        clean, z = self.clean.float(), self.z.float()
-        return form_image(clean.expand(len(z), -1, -1, -1), z, medium).image
+    def rendered(self, setting: Setting) -> Tensor:
+        """The observed pictures (Bx3xHxW, linear light) as a setting makes them of the clean."""
+        clean, z = self.clean.float().expand(len(self.z), -1, -1, -1), self.z.float()
+        with torch.no_grad():
+            return form(clean, z, replace(setting, color_space="linear"))
 
     def lost(self, light: Tensor) -> Tensor | None:
         """What pictures (Bx3xHxW, linear light) lose when they are stored as the observed were: by

@@ -19,6 +19,7 @@ from uwaug.fitting.data import Geometry, Pictures, Pixels
 from uwaug.fitting.model import MAX_GAIN, MAX_OPTICAL_DEPTH, Bounds, Model, Quantity
 from uwaug.fitting.result import Fit
 from uwaug.fitting.solve import Objective, loss, reweighed, roughly_weighed, solve
+from uwaug.formation.setting import Setting
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
@@ -221,7 +222,8 @@ def fit_water(
         winner = candidates[0]
         model, theta = winner.model, winner.solution.theta
         medium = model.medium(theta, _RESULT_TOLERANCE)
-        result = result_of(winner, candidates, model.name, medium, pictures)
+        setting = Setting(medium, view=view, color_space=color_space)
+        result = result_of(winner, candidates, model.name, setting, pictures)
     return replace(
         result,
         model=model.water.name if result.adequate else "no Jerlov type",
