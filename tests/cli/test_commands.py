@@ -19,7 +19,6 @@ from uwaug.cli.fit import _jpeg_quality
 from uwaug.distance import MadeUp, Metres, Plane, Relative
 from uwaug.files import Recipe, find_items
 from uwaug.files.prepare import prepare
-from uwaug.optics.view import WIDE
 from uwaug.transforms.random_underwater import SEVERITIES
 
 
@@ -644,8 +643,8 @@ def test_plain_pictures_have_nothing_random(folder, run):
 def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run):
     planar = torch.linspace(1, 4, 24 * 32).reshape(1, 24, 32)
     np.save("planar.npy", planar[0].numpy())
-    np.save("along.npy", uwaug.distance.along_ray(planar, WIDE.focal(32))[0].numpy())
-    line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--distance")
+    np.save("along.npy", uwaug.distance.along_ray(planar, uwaug.View(75).focal(32))[0].numpy())
+    line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--view", "75", "--distance")
     assert run(*line, "planar.npy", "--set", "distance.planar=true", "--out", "a.npy")[0] == 0
     assert run(*line, "along.npy", "--out", "b.npy")[0] == 0
     assert run(*line, "planar.npy", "--out", "c.npy")[0] == 0
@@ -700,12 +699,14 @@ def test_the_view_of_the_camera(folder, run):
         "fill",
     )
     line = (*line, "--set", "distance.planar=true", "--out")
-    for name, flags in {"wide": (), "px": ("--focal-px", "40"), "narrow": ("--view", "20")}.items():
+    for name, flags in {"px": ("--focal-px", "40"), "narrow": ("--view", "20")}.items():
         code, _, err = run(*line, f"{name}.png", *flags)
         assert (code, err) == (0, "")
-    assert len({Path(f"{name}.png").read_bytes() for name in ("wide", "px", "narrow")}) == 3
+    assert len({Path(f"{name}.png").read_bytes() for name in ("px", "narrow")}) == 2
+    code, _, err = run(*line, "d.png")
+    assert (code, "planar maps need the camera's view" in err) == (1, True)
     code, _, err = run(*line, "d.png", "--view", "20", "--focal-px", "40")
-    assert (code, "--view and --focal-px say the same" in err) == (2, True)
+    assert (code, "degrees and focal_px say the same" in err) == (2, True)
     code, _, err = run(*line, "d.png", "--focal-px", "2.8")
     assert "focal_px must be in px of the picture, got 2.8: a lens of f mm" in err
 

@@ -35,9 +35,7 @@ _SAME_PICTURE = 2e-3  # mean difference, as a share of the light, below which tw
 _CLIPPED_LIGHT = 0.98  # linear light of the clean picture, 253 of 255: it may have been brighter
 _LEVEL_ROUNDING = 1e-3  # of a level of 8 bits, up to which a value is one
 _BLUR_TOLERANCE = 2e-4  # error of the blurs, below which no residual can fall
-# Widest blur, as a share of the picture's short side. The calibrated law reaches it in a 60° view
-# after ten scattering lengths, where no light is left.
-_WIDEST_BLUR = 1 / 5
+_WIDEST_BLUR = 1 / 5  # widest blur of a fitted width law, as a share of the picture's short side
 _BINS = 20  # equal steps of distance, from each of which as many pixels are taken
 _NEAR_QUANTILE, _FAR_QUANTILE = 0.05, 0.95  # of the finite distances: the ends of their range
 
@@ -128,9 +126,11 @@ class Pictures:
         size = (self.z.shape[-2], self.z.shape[-1])
         return Geometry(nearest, reference, farthest, size, min(size) * _WIDEST_BLUR)
 
-    def sample(self, shapes: Sequence[Shape], count: int, seed: int) -> "Pixels":
+    def sample(
+        self, shapes: Sequence[Shape], count: int, seed: int, widest: float | None = None
+    ) -> "Pixels":
         """Draw at most `count` pixels of all pictures together, spread evenly over their distances,
-        with the blurs of `shapes` there.
+        with the blurs of `shapes` there, up to a width (px) or else the geometry's.
         """
         rng = np.random.default_rng(seed)
         share = max(1, count // len(self.z))
@@ -145,7 +145,7 @@ class Pictures:
             return torch.cat(rows, 1)[None, :, None]
 
         stacks = {}
-        widest, side = self.geometry.widest, max(self.geometry.size)
+        widest, side = widest or self.geometry.widest, max(self.geometry.size)
         for shape in shapes:
             plan = plan_blur(0.0, widest, _BLUR_TOLERANCE, shape, side)
             blurs = [at_places(x).double() for x in blurred(self.clean.float(), plan)]
