@@ -15,10 +15,10 @@ from PIL import ExifTags, Image
 import uwaug
 from uwaug.cli.choices import with_tables
 from uwaug.cli.degrade import degrade
-from uwaug.cli.fit import _jpeg_quality
 from uwaug.distance import MadeUp, Metres, Plane, Relative
 from uwaug.files import Recipe, find_items
 from uwaug.files.prepare import prepare
+from uwaug.fitting.data import jpeg_quality
 from uwaug.transforms.random_underwater import SEVERITIES
 
 
@@ -306,7 +306,7 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ),
         (
             "fit --clean a.png --observed b.png --distance 3 --out f.json --surfaces grey",
-            "--surfaces grey is of --model waters",
+            "--surfaces is of --model waters",
         ),
         (
             "fit --clean a.png --observed b.png --distance 3 --out f.json --mu .02",
@@ -450,7 +450,7 @@ def test_the_quality_of_a_jpeg_file(tmp_path, quality):
     for ending, expected in (("jpg", quality), ("png", None)):
         path = tmp_path / f"a.{ending}"
         picture.save(path, quality=quality)
-        assert _jpeg_quality(path) == (expected and pytest.approx(expected, abs=1))
+        assert jpeg_quality(path) == (expected and pytest.approx(expected, abs=1))
 
 
 def test_a_veil_is_estimated_without_a_clean_picture(folder, run):

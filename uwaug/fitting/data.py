@@ -5,9 +5,11 @@ Any width law is a mixture of these blurs. They do not depend on the water, so t
 
 import io
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -36,6 +38,7 @@ _CLIPPED_LIGHT = 0.98  # linear light of the clean picture, 253 of 255: it may h
 _LEVEL_ROUNDING = 1e-3  # of a level of 8 bits, up to which a value is one
 _BLUR_TOLERANCE = 2e-4  # error of the blurs, below which no residual can fall
 _WIDEST_BLUR = 1 / 5  # widest blur of a fitted width law, as a share of the picture's short side
+_JPEG_TABLE_SUM = 3688  # of the standard's table for luminance, which is quality 50
 _BINS = 20  # equal steps of distance, from each of which as many pixels are taken
 _NEAR_QUANTILE, _FAR_QUANTILE = 0.05, 0.95  # of the finite distances: the ends of their range
 
@@ -255,6 +258,19 @@ def blocks_of(places: Sequence[Places], size: tuple[int, int]) -> Places:
         for i, at in enumerate(places)
     ]
     return np.unique(np.concatenate(numbers), return_inverse=True)[1]
+
+
+def jpeg_quality(path: str | os.PathLike[str]) -> int | None:
+    """Quality of a JPEG file by its table for luminance, 1…100; None of other files."""
+    if Path(path).suffix.lower() not in (".jpg", ".jpeg"):
+        return None
+    with Image.open(path) as image:
+        table = getattr(image, "quantization", {}).get(0)
+    if not table:
+        return None
+    percent = 100 * sum(table) / _JPEG_TABLE_SUM
+    quality = (200 - percent) / 2 if percent <= 100 else 5000 / percent
+    return int(min(max(round(quality), 1), 100))
 
 
 def _through_jpeg(values: Tensor, quality: int) -> Tensor:
