@@ -172,8 +172,12 @@ SETTINGS = {
 }
 
 
-@pytest.mark.parametrize("name", SETTINGS)
-@pytest.mark.parametrize("learnable", [False, True, ["rates"], ["veil"], ["width"]])
+LEARNED = [("water", parts) for parts in (True, ["rates"], ["veil"], ["width"])]
+
+
+@pytest.mark.parametrize(
+    ("name", "learnable"), [(name, False) for name in SETTINGS] + [*LEARNED, ("snow", True)]
+)
 def test_a_state_brings_the_whole_setting(name: str, learnable: Any) -> None:
     """Picture, and the name that a person reads; averaged with its like, as by an EMA, too."""
     setting = SETTINGS[name]
@@ -184,9 +188,10 @@ def test_a_state_brings_the_whole_setting(name: str, learnable: Any) -> None:
     other = Underwater(
         setting.medium,
         **options,
-        **{
-            name: getattr(setting, name) for name in ("light", "development", "view", "color_space")
-        },
+        light=setting.light,
+        development=setting.development,
+        view=setting.view,
+        color_space=setting.color_space,
     )
     image, z = picture(), distances()
     expected = other(image, z).detach()
@@ -196,7 +201,7 @@ def test_a_state_brings_the_whole_setting(name: str, learnable: Any) -> None:
     torch.testing.assert_close(own(image, z).detach(), expected, rtol=0, atol=2e-6)
     assert repr(own) == repr(other)
     assert own.medium.notes == other.medium.notes == setting.medium.notes
-    with pytest.raises(RuntimeError, match="Missing key.*_extra_state"):
+    with pytest.raises(RuntimeError, match=r"Missing key.*_extra_state"):
         own.load_state_dict({key: x for key, x in state.items() if "_extra_state" not in key})
 
 
@@ -206,7 +211,7 @@ def test_a_pitch_that_learns_takes_the_value_of_a_state() -> None:
     own.load_state_dict(Underwater(WATER, light=uwaug.Light(pitch=[30.0])).state_dict())
     assert pitch.tolist() == [30.0]
     own(picture(), distances()).sum().backward()
-    assert pitch.grad is not None and pitch.grad.abs() > 0
+    assert pitch.grad.abs() > 0
 
 
 def test_what_it_says_of_itself() -> None:
