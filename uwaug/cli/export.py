@@ -59,7 +59,6 @@ def export(
 
 
 def _transform(preset: str, water: str | None, options: Path | None) -> "RandomUnderwater":
-    """A preset with the options of a file and a water, each in place of what comes before."""
     from uwaug.presets import load_preset
     from uwaug.transforms import RandomUnderwater
 

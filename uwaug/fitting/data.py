@@ -274,14 +274,12 @@ def jpeg_quality(path: str | os.PathLike[str]) -> int | None:
 
 
 def _through_jpeg(values: Tensor, quality: int) -> Tensor:
-    """A picture (3xHxW, uint8) from a JPEG file of that quality."""
     file = io.BytesIO()
     Image.fromarray(values.permute(1, 2, 0).numpy()).save(file, "JPEG", quality=quality)
     return torch.from_numpy(np.array(Image.open(file))).permute(2, 0, 1)
 
 
 def _light(picture: Tensor, color_space: ColorSpace, name: str) -> Tensor:
-    """The checked picture in linear light, float64."""
     picture = picture.detach().cpu()
     require_values(picture, color_space, name)
     return decoded(picture, color_space).double()

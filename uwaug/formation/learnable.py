@@ -73,7 +73,6 @@ def of_tensor(state: Tensor) -> dict[str, Any]:
 
 
 def _but_rates(tensor: Tensor) -> torch.Size:
-    """Shape without the number of rates."""
     return tensor.shape[:-1] if tensor.ndim > 1 else tensor.shape
 
 

@@ -230,7 +230,6 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
 
 
 def _metadata(module: Underwater, plan: BlurPlan, coefficients: bool) -> dict[str, str]:
-    """Metadata of a file; "uwaug_module" holds the arguments of `Underwater`."""
     return {
         "uwaug_version": __version__,
         "uwaug_water": "; ".join(module.medium.notes),

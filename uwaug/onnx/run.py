@@ -196,7 +196,6 @@ class OnnxUnderwater:
 
 
 def _geometry(light: Light | None) -> Any:
-    """What of a light is no input of a file."""
     if light is None:
         return None
     lamps = tuple(replace(lamp, power=1.0, color=(1.0, 1.0, 1.0)) for lamp in light.lamps)
@@ -204,5 +203,4 @@ def _geometry(light: Light | None) -> Any:
 
 
 def _tensor(value: Any) -> Any:
-    """Make a tensor of an array; `validate` checks everything else."""
     return torch.from_numpy(value) if isinstance(value, np.ndarray) else value

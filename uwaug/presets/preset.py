@@ -91,7 +91,6 @@ def _refuse(path: Path, given: dict[str, Any]) -> None:
 
 
 def _beside(path: Path, value: Any) -> Any:
-    """Complete the path of a CSV file, or of those in a list, as it lies beside the preset."""
     if isinstance(value, list):
         return [_beside(path, item) for item in value]
     return path.parent / value if str(value).lower().endswith(".csv") else value
