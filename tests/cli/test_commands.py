@@ -14,9 +14,8 @@ from PIL import ExifTags, Image
 import uwaug
 from uwaug.cli.choices import with_tables
 from uwaug.cli.degrade import degrade
-from uwaug.cli.fit import _jpeg_quality
 from uwaug.distance import MadeUp, Metres, Plane, Relative
-from uwaug.optics.view import WIDE
+from uwaug.fitting.data import jpeg_quality
 from uwaug.transforms.random_underwater import SEVERITIES
 
 
@@ -329,7 +328,7 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
         ),
         (
             "fit --clean a.png --observed b.png --distance 3 --out f.json --surfaces grey",
-            "--surfaces grey is of --model waters",
+            "--surfaces is of --model waters",
         ),
         (
             "fit --clean a.png --observed b.png --distance 3 --out f.json --mu .02",
@@ -477,7 +476,7 @@ def test_the_quality_of_a_jpeg_file(tmp_path, quality):
     for ending, expected in (("jpg", quality), ("png", None)):
         path = tmp_path / f"a.{ending}"
         picture.save(path, quality=quality)
-        assert _jpeg_quality(path) == (expected and pytest.approx(expected, abs=1))
+        assert jpeg_quality(path) == (expected and pytest.approx(expected, abs=1))
 
 
 def test_a_veil_is_estimated_without_a_clean_picture(folder, run):
@@ -668,8 +667,8 @@ def test_plain_pictures_have_nothing_random(folder, run):
 def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run):
     planar = torch.linspace(1, 4, 24 * 32).reshape(1, 24, 32)
     np.save("planar.npy", planar[0].numpy())
-    np.save("along.npy", uwaug.distance.along_ray(planar, WIDE.focal(32))[0].numpy())
-    line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--distance")
+    np.save("along.npy", uwaug.distance.along_ray(planar, uwaug.View(75).focal(32))[0].numpy())
+    line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--view", "75", "--distance")
     assert run(*line, "planar.npy", "--set", "distance.planar=true", "--out", "a")[0] == 0
     assert run(*line, "along.npy", "--out", "b")[0] == 0
     assert run(*line, "planar.npy", "--out", "c")[0] == 0
@@ -690,12 +689,14 @@ def test_a_meter_that_is_switched_off_in_words(folder, run):
 def test_the_view_of_the_camera(folder, run):
     maps = ("--distance", "depth/a.png", "--unit", "mm", "--holes", "fill")
     line = ("degrade", "photos/a.png", *maps, "--set", "distance.planar=true", "--out")
-    for name, flags in {"wide": (), "px": ("--focal-px", "40"), "narrow": ("--view", "20")}.items():
+    for name, flags in {"px": ("--focal-px", "40"), "narrow": ("--view", "20")}.items():
         code, _, err = run(*line, name, *flags)
         assert (code, err) == (0, "")
-    assert len({Path(name, "a.png").read_bytes() for name in ("wide", "px", "narrow")}) == 3
+    assert len({Path(name, "a.png").read_bytes() for name in ("px", "narrow")}) == 3
+    code, _, err = run(*line, "d")
+    assert (code, "planar maps need the camera's view" in err) == (1, True)
     code, _, err = run(*line, "d", "--view", "20", "--focal-px", "40")
-    assert (code, "--view and --focal-px say the same" in err) == (2, True)
+    assert (code, "degrees and focal_px say the same" in err) == (2, True)
     code, _, err = run(*line, "d", "--focal-px", "2.8")
     assert "focal_px must be in px of the picture, got 2.8: a lens of f mm" in err
 
