@@ -10,6 +10,7 @@ from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug._support.codec import plain
 from uwaug._support.types import Shape
+from uwaug.optics.curves import raised
 from uwaug.optics.view import Size, View
 
 Unit = Literal["px", "paper", "focal"]
@@ -52,6 +53,11 @@ class Law:
             return view.focal(sides[1])
         short = torch.minimum(*sides) if isinstance(sides, list) else min(sides)
         return short / PAPER_SIDE
+
+
+def widths(z: Any, b_mean: Any, scale: Any, exponent: Any) -> Any:
+    """σ(z) at distances z, m, finite, in units of the law; arrays or tensors that broadcast."""
+    return scale * raised((b_mean * z).clip(*LENGTHS), exponent)
 
 
 IN_PIXELS = {shape: Law(shape) for shape in get_args(Shape)}  # px of the image at hand

@@ -2,8 +2,10 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from uwaug._support.types import Array
-from uwaug.optics.point_spread import LENGTHS
+from uwaug.optics.point_spread import widths
 
 
 class Weights(NamedTuple):
@@ -34,6 +36,5 @@ class Weights(NamedTuple):
 
     def widths(self, z: Array) -> Array:
         """Widths (BxN) of the forward scatter at distances (N), m, in units of the law."""
-        lengths = (self.b_mean[:, None] * z).clip(*LENGTHS)
-        widths: Array = self.scale[:, None] * lengths ** self.exponent[:, None]
-        return widths
+        numbers = self.b_mean[:, None], self.scale[:, None], self.exponent[:, None]
+        return np.asarray(widths(z, *numbers))

@@ -23,7 +23,7 @@ from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.constituents import Constituents
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.reduction import default_bands
+from uwaug.optics.reduction import default_bands, reduced
 from uwaug.optics.snow import MarineSnow
 from uwaug.optics.view import View
 from uwaug.optics.water import CONTRAST_THRESHOLD, Water, load_water
@@ -313,10 +313,8 @@ class RandomWater(Noun):
                     taken = f"the scene is taken at {deepest:.3g} m; metered=False keeps the dark"
                     odd_scene.warn(f"{got} of light: {taken}")
                 depth, daylight = deepest, DIMMEST
-        law = self.point_spread or _CALIBRATED
-        surfaces = "color_matrix" in draw, draw.get("color_matrix", 1.0)
         tolerance = _CURVES * daylight  # errors, too, are brought up by an exposure
-        options = (depth, draw["g"], self._mu(draw), law, *surfaces, tolerance)
+        options = depth, draw["g"], self._mu(draw), draw.get("color_matrix"), tolerance
         return self._medium(water, options, lamps), depth
 
     def fields(
@@ -335,7 +333,8 @@ class RandomWater(Noun):
         before: tuple[Water, Any, Medium] | None = vars(self).get("_before")
         if before and before[0] is water and before[1] == (options, lamps):
             return before[2]
-        medium = Medium.of_spectra(water, self.response, *options, lamps=lamps)
+        arrays = reduced(water, self.response, *options, lamps=lamps)
+        medium = Medium.of_arrays(*arrays, self.point_spread or _CALIBRATED)
         vars(self)["_before"] = water, (options, lamps), medium
         return medium
 
