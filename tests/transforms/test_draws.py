@@ -24,7 +24,7 @@ from uwaug._support.nouns import number
 from uwaug.distance import MadeUp, Relative, Source
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import Measured
-from uwaug.transforms.draws import uniform_of
+from uwaug._support.nouns import Uniform
 
 OTHERS: dict[str, dict[str, Any]] = {
     "mu": {"water": RandomWater(mu=(0.02, 0.04))},
@@ -58,7 +58,7 @@ def test_an_option_moves_no_other_number_and_no_other_picture(name: str) -> None
 
 def test_numbers_of_other_names_and_seeds_are_independent() -> None:
     names, seeds = ("contrast", "exposure", "tone"), range(4000)
-    table = torch.tensor([[uniform_of(seed)(name) for name in names] for seed in seeds])
+    table = torch.tensor([[Uniform(seed.to_bytes(8))(name) for name in names] for seed in seeds])
     assert torch.allclose(table.mean(0), torch.tensor(0.5), atol=0.02)
     assert torch.allclose(table.std(0), torch.tensor(12**-0.5), atol=0.01)
     assert (torch.corrcoef(table.T) - torch.eye(3)).abs().max() < 0.05

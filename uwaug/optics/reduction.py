@@ -1,5 +1,7 @@
 """Rates and weights of a medium from the spectra of a water and a camera."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from uwaug._support.types import Array
@@ -13,6 +15,14 @@ from uwaug.optics.water import Water
 # 1e-5 of that. A smaller one loses digits in V(0) − V(z), the difference of two large numbers.
 _MIN_G = 1e-6
 _BRIGHT_VEIL = 1.05  # V(0) above which the notes say that the veil is brighter than a white plate
+
+
+@lru_cache(maxsize=16)
+def _at_bands(camera: Camera, axis: bytes) -> tuple[Array, Array]:
+    """Response of a camera at bands, nm, which must hold most of it, and reflectances (3xM)."""
+    wavelengths = np.frombuffer(axis)
+    require_covered(camera, float(wavelengths[0]), float(wavelengths[-1]))
+    return response_at(camera, axis), reflectances(axis)
 
 
 def default_bands(water: Water) -> Array:
@@ -45,13 +55,11 @@ def reduced(
     too, if there are any.
     """
     spectra = water.at(default_bands(water))
-    axis, b = spectra.wavelengths, spectra.b
-    require_covered(camera, float(axis[0]), float(axis[-1]))
-    sensor = response_at(camera, axis.tobytes())
+    b = spectra.b
+    sensor, reflected = _at_bands(camera, spectra.wavelengths.tobytes())
     basis, response = None, sensor
     if color_matrix is not None:
-        basis = reflectances(axis.tobytes())
-        response, basis = through_camera(sensor, basis, color_matrix, camera.color_matrix)
+        response, basis = through_camera(sensor, reflected, color_matrix, camera.color_matrix)
     beta, G = attenuations(spectra.a, b, g)
     light = np.exp(-spectra.kd * vertical_depth)
     veil = response * (mu * b * light / G)

@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug._support.compiled import compiled
 from uwaug._support.types import Array
 
 Surfaces = Literal["grey", "spectral"]
@@ -51,8 +52,12 @@ def through_camera(
     """
     M = sensor @ basis.T
     full = _inverse(M.tobytes()) if camera_matrix is None else camera_matrix
-    matrix = _UNIT + share * (full - _UNIT)
-    return matrix @ sensor, np.linalg.inv(matrix @ M).T @ basis
+    return _mixed(sensor, basis, M, _UNIT + share * (full - _UNIT))
+
+
+@compiled
+def _mixed(sensor: Array, basis: Array, M: Array, matrix: Array) -> tuple[Array, Array]:
+    return matrix @ sensor, np.ascontiguousarray(np.linalg.inv(matrix @ M).T) @ basis
 
 
 @lru_cache(maxsize=16)

@@ -215,7 +215,7 @@ class Water(Spectra):
             >>> {t: round(Water.jerlov(t).visibility(), 1) for t in ("I", "IB", "II", "3C", "9C")}
             {'I': 78.5, 'IB': 32.6, 'II': 8.7, '3C': 3.3, '9C': 1.2}
         """
-        return self.metres_for(CONTRAST_THRESHOLD)
+        return _distance_to(CONTRAST_THRESHOLD, *self._at_eye(self.beta))
 
     def contrast(self, metres: float) -> float:
         """Share of its luminance contrast that an object at this distance [m] keeps, 0…1: the
@@ -270,6 +270,7 @@ class Water(Spectra):
             (Water('1C with 0.5 of the contrast at 3 m', 65 wavelengths, 300–700 nm), 0.5)
         """
         checks.positive("metres", metres)
+        checks.positive("contrast", contrast)
         fine = self._fine()
         largest = fine._luminance(fine._pure()[:2].sum(0), metres)
         if contrast > largest:
@@ -286,7 +287,6 @@ class Water(Spectra):
         """Factor s of ``with_contrast``: 0 where pure water alone leaves no more, infinity where
         nothing but pure water is there to be scaled, 1 at an infinite distance.
         """
-        checks.positive("contrast", contrast)
         if math.isinf(metres):
             return 1.0
         fine = self._fine()
@@ -361,12 +361,11 @@ class Water(Spectra):
 
     def _derived(self, axis: Array, table: Array, name: str, provenance: tuple[str, ...]) -> Self:
         """A water of valid spectra, without checks, which would take most of a transform's time."""
-        water = object.__new__(type(self))
         table.flags.writeable = False
         axis.flags.writeable = False
-        a, b, kd = table
-        vars(water).update(wavelengths=axis, a=a, b=b, kd=kd, name=name, provenance=provenance)
-        return water
+        rates = dict(zip(("a", "b", "kd"), table, strict=True))
+        text = {"name": name, "provenance": provenance}
+        return checks.unchecked(type(self), wavelengths=axis, **rates, **text)
 
     def _table(self, axis: Array) -> Array:
         """a, b and K_d (3, N) on an axis inside the water's range."""

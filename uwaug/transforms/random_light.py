@@ -113,7 +113,7 @@ class RandomLight(Noun):
         """The light of a picture; None for daylight that is alike in all directions."""
         pitch = draw.get("pitch")
         if "rig" not in draw:
-            return None if pitch is None else Light(pitch=pitch)
+            return None if pitch is None else checks.unchecked(Light, pitch=pitch)
         metres = measured.median if math.isfinite(measured.median) else _OPEN_WATER_M
         rig = RIGS[_picked(draw["rig"], self.rigs)]
         low, high = rig.lamps

@@ -16,7 +16,7 @@ from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
 from uwaug.optics.view import WIDE, View
-from uwaug.transforms.draws import NOUNS, Draw, Record, of_frame, read_draws, uniform_of
+from uwaug.transforms.draws import NOUNS, Draw, Record, of_frame, read_draws
 from uwaug.transforms.measured import Measured
 from uwaug.transforms.random_development import RandomDevelopment
 from uwaug.transforms.random_light import RandomLight
@@ -182,7 +182,7 @@ class RandomUnderwater(SampleTransform):
         measured = Measured(1, 0.0, 1.0, nearest, farthest, farthest, self.development.metered)
         thin, dense = self.water.field or (1.0, 1.0)
         low, high = nearest * thin, farthest * dense
-        draw = Draw(**self._sample(uniform_of(0)))
+        draw = Draw(**self._sample(Uniform(bytes(8))))
         light = self._nouns["light"].of(draw.light, measured)
         water, _ = self.water.water(draw.water, farthest)
         return Underwater(
@@ -231,7 +231,7 @@ class RandomUnderwater(SampleTransform):
         """
         count = 1 if image.ndim == 3 or is_film(image) else len(image)
         seeds = torch.randint(2**63 - 1, (count,), generator=generator, device="cpu").tolist()
-        return {"samples": [self._sample(uniform_of(seed)) for seed in seeds]}
+        return {"samples": [self._sample(Uniform(seed.to_bytes(8))) for seed in seeds]}
 
     def _sample(self, uniform: Uniform) -> Record:
         draws = {name: noun.drawn(uniform.of(name)) for name, noun in self._nouns.items()}

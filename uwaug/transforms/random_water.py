@@ -323,9 +323,13 @@ class RandomWater(Noun):
         """The medium field (Bx1xHxW) of each picture, of the size of `like`; 1 in even water."""
         if self.field is None:
             return like.new_ones(())
-        scales = [view.focal(m.width) / m.median for m in measured]  # px a metre
-        moved = [(k * m.moved[0], k * m.moved[1]) for k, m in zip(scales, measured, strict=True)]
-        seeds = [draw.water["field_seed"] for draw in draws]
+        seeds, moved = list[int](), list[tuple[float, float]]()
+        for draw, picture in zip(draws, measured, strict=True):
+            right, down, _ = picture.moved
+            # to move by 0 m needs no px a metre
+            scale = view.focal(picture.width) / picture.median if right or down else 0.0
+            seeds.append(draw.water["field_seed"])
+            moved.append((scale * right, scale * down))
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
 
     def _medium(self, water: Water, options: tuple[Any, ...], lamps: bool) -> Medium:

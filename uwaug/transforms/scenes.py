@@ -164,9 +164,11 @@ def scenes_of(
             with naming(i, len(pictures)):
                 if not (measured.darkest >= 0 and measured.brightest <= 1):
                     require_values(pictures[i], space)
-                of_films.append(measured.of_film(draw.measured, draw.passed))
-                drawn = waters[n] if waters else water.water(draw.water, of_films[-1].median)
-                scenes.append(_scene(draw, drawn, measured, of_films[-1], nouns, view))
+                is_film = draw.measured or draw.moved or any(draw.motion)
+                film = measured.of_film(draw.measured, draw.passed) if is_film else measured
+                of_films.append(film)
+                drawn = waters[n] if waters else water.water(draw.water, film.median)
+                scenes.append(_scene(draw, drawn, measured, film, nouns, view))
         metres = metres.double() if pictures.dtype == torch.float64 else metres
         metres = metres.clamp(max=FARTHEST)
         z = metres * water.fields(applied, of_films, metres, view)
@@ -224,7 +226,8 @@ def _metres_of(
                 metres = source.metres(metres, srgb, numbers[len(results)], **rays)
         if metres.dtype.itemsize < 4:
             metres = metres.float()
-        results.append(brought_to(picture.shape[-2:], metres))
+        is_of_size = metres.shape[-2:] == picture.shape[-2:]
+        results.append(metres if is_of_size else brought_to(picture.shape[-2:], metres))
     return results[0][None] if len(results) == 1 else torch.stack(results)
 
 
@@ -240,7 +243,7 @@ def _read_again(source: Source, pictures: Tensor, metres: Tensor, chosen: Sequen
 def _warn_if_blank(setting: Setting) -> None:
     """Warn, once in a process, if next to nothing is left to see at the median distance."""
     median = setting.span[1]
-    if not math.isfinite(median) or not _blank.due():
+    if _blank.looks_left < 1 or not math.isfinite(median) or not _blank.due():
         return
     z = setting.medium.beta.new_full((1, 1, 1), median)
     if float(contrast_left(z, setting.medium, light=setting.light)) < FAINT:
