@@ -159,7 +159,7 @@ class Water(Spectra):
     @classmethod
     def of_amounts(cls, amounts: Mapping[str, float], name: str | None = None) -> Self:
         """As `from_constituents`, of the amounts of all contents, unchecked."""
-        name = Constituents(**amounts).name if name is None else name
+        name = name or checks.unchecked(Constituents, **amounts).name
         water = object.__new__(cls)
         return water._derived(WAVELENGTHS, optical_properties(amounts), name, (_BIO_OPTICAL,))
 

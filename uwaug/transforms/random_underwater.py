@@ -234,8 +234,10 @@ class RandomUnderwater(SampleTransform):
         return {"samples": [self._sample(Uniform(seed.to_bytes(8))) for seed in seeds]}
 
     def _sample(self, uniform: Uniform) -> Record:
-        draws = {name: noun.drawn(uniform.of(name)) for name, noun in self._nouns.items()}
-        return {"applied": uniform("applied") < self.p, **draws}
+        sample: Record = {"applied": uniform("applied") < self.p}
+        for name, noun in self._nouns.items():
+            sample[name] = noun.drawn(Uniform(uniform.key, f"{name}."))
+        return sample
 
     @uncompiled
     def transform(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:

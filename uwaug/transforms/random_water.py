@@ -263,7 +263,7 @@ class RandomWater(Noun):
         visibility, least_contents = draw.get("visibility"), 0.0
         if "clearness" in draw and math.isfinite(median):
             least_contents = _LEAST_CONTENTS
-            least, most = (count * median for count in VISIBLE)
+            least, most = VISIBLE[0] * median, VISIBLE[1] * median
             visibility = least * (most / least) ** draw["clearness"]
             if isinstance(first, str):
                 visibility = min(max(water.visibility(), least), most)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -155,13 +156,13 @@ def scenes_of(
         submerged = pictures if len(chosen) == len(pictures) else pictures[chosen]
         metered = nouns["development"].metered
         measurements = measure(submerged, metres, metered=metered)
-        are_whole = all(m.nearest > 0 and m.farthest < FARTHEST_SEEN for m in measurements)
-        if not are_whole and source == _WHOLE_MAPS:
+        holed = [m for m in measurements if not (m.nearest > 0 and m.farthest < FARTHEST_SEEN)]
+        if holed and source == _WHOLE_MAPS:
             metres = _read_again(source, pictures, metres, chosen)
             measurements = measure(submerged, metres, metered=metered)
         scenes, of_films = [], []
         for n, (i, draw, measured) in enumerate(zip(chosen, applied, measurements, strict=True)):
-            with naming(i, len(pictures)):
+            with nullcontext() if len(pictures) == 1 else naming(i, len(pictures)):
                 if not (measured.darkest >= 0 and measured.brightest <= 1):
                     require_values(pictures[i], space)
                 is_film = draw.measured or draw.moved or any(draw.motion)
