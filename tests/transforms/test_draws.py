@@ -20,11 +20,10 @@ from uwaug import (
     RandomWater,
     Sensor,
 )
-from uwaug._support.nouns import number
+from uwaug._support.nouns import Uniform, number
 from uwaug.distance import MadeUp, Relative, Source
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import Measured
-from uwaug._support.nouns import Uniform
 
 OTHERS: dict[str, dict[str, Any]] = {
     "mu": {"water": RandomWater(mu=(0.02, 0.04))},

@@ -95,7 +95,7 @@ def form(
     ends = blurred_between(z, brightest)
     if plan is None:
         law = IN_PIXELS[medium.law.shape]
-        plan = demand_of(brightest.seen_by(gains), law, ends, tolerance).plan(size, shared=True)
+        plan = demand_of(brightest.brightened(gains), law, ends, tolerance).plan(size, shared=True)
     blurs = plan_table(plan, size)
     widths = [places_table(weights.row(n), plan, ends) for n in range(len(waters))]
     normals, begins, developments = _camera(development, gains, batch, size)
@@ -137,7 +137,7 @@ def _waters(
 ) -> list[WaterTable]:
     """Tables of each medium: in the light of the day, and under lamps."""
     if light is not None and light.daylight != 1:
-        day = day.seen_by(light.daylight * np.eye(3)[None])
+        day = day.brightened(light.daylight * np.eye(3)[None])
     tables, count = [], len(medium)
     for n in range(count):
         terms = terms_table(medium if count == 1 else medium[n], z.numpy())

@@ -295,7 +295,7 @@ def lamps_table(light: Light | None, row: Weights) -> LampsTable:
     if light is None or not light.lamps:
         return _NO_LAMPS
     colours = [np.diag(lamp.power * np.array(lamp.color)) for lamp in light.lamps]
-    of_lamps = [row.seen_by(colour[None]) for colour in colours]
+    of_lamps = [row.brightened(colour[None]) for colour in colours]
     # one share for each channel; for surfaces with spectra, one for all
     straight, signal = (x.reshape(3, 3, -1).sum(1) for x in (row.direct, row.signal))
     if row.signal[0].reshape(3, 3, -1)[~np.eye(3, dtype=bool)].any():  # channels mix

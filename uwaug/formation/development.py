@@ -207,7 +207,6 @@ class Development:
 
 
 def _balances(share: float | Tensor) -> bool:
-    """True if a white balance may change a picture; the values of a tensor are not looked at."""
     return isinstance(share, Tensor) or share > 0
 
 

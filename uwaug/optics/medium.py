@@ -39,7 +39,7 @@ from uwaug.optics.point_spread import IN_PIXELS, Law, PointSpread, widths
 from uwaug.optics.reduction import reduced
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.snow import MarineSnow
-from uwaug.optics.surfaces import Surfaces, as_matrices, nine_rows, row_of, white
+from uwaug.optics.surfaces import Surfaces, as_matrices, mixed, nine_rows, row_of, white
 from uwaug.optics.view import Size, View
 from uwaug.optics.water import Water, load_water
 from uwaug.optics.weights import Weights
@@ -138,7 +138,8 @@ class Medium:
             if name not in Medium.TENSORS or "_arrays" not in vars(self):
                 raise AttributeError(f"Medium has no attribute {name!r}")
             tensors = {n: row_of(array) for n, array in self._arrays.items()}
-            vars(self).update(vars(Medium(**tensors, law=self.law, notes=self.notes, snow=self.snow)))
+            others = {"law": self.law, "notes": self.notes, "snow": self.snow}
+            vars(self).update(vars(Medium(**tensors, **others)))
             return vars(self)[name]
 
     @staticmethod
@@ -304,7 +305,6 @@ class Medium:
         return replace(self, **scaled, notes=self._noted(f"{factor:g} times as much in the water"))
 
     def _noted(self, change: str) -> tuple[str, ...]:
-        """The notes, with what has changed since."""
         return tuple(f"{note}; {change}" for note in self.notes)
 
     def __len__(self) -> int:
@@ -540,8 +540,7 @@ class Medium:
             weights = getattr(wide, name)
             if "C" in axes and gain.ndim == 3:
                 weights = as_matrices(weights) if {"S", "T"} & {*axes} else weights
-                mixed = gain @ weights.reshape(len(weights), 3, -1)
-                gained[name] = mixed.reshape(-1, *weights.shape[1:])
+                gained[name] = mixed(gain, weights)
             elif "C" in axes:
                 gained[name] = gain.reshape(len(gain), -1, *[1] * (weights.ndim - 2)) * weights
         return replace(wide, **gained, notes=wide._noted("brightened"))
@@ -584,7 +583,6 @@ _OF_WEIGHTS = (*OF_LAMPS, *_OF_WIDTHS)
 
 
 def _short(numbers: Tensor) -> str:
-    """The first numbers of a tensor (B), in words."""
     words = [f"{x:.3g}" for x in dict.fromkeys(numbers.detach().tolist())]
     return ", ".join(words[:3] + ["…"] * (len(words) > 3))
 

@@ -57,9 +57,11 @@ def measure(pictures: Tensor, metres: Tensor, *, metered: bool) -> list[Measured
     values, distances = pictures.detach().flatten(1), metres.detach().flatten(1)
     rows_of = _rows_on_host if checks.on_host(metres) else _rows_on_device
     measurements = []
-    for i, (*ends, median) in enumerate(rows_of(values, distances, points)):
+    for i, row in enumerate(rows_of(values, distances, points)):
+        darkest, brightest, nearest, farthest, median = row
         if math.isinf(median):  # all is open water, or all of the points
             median = _median(distances[i].cpu().numpy())
+        ends = darkest, brightest, nearest, farthest
         measurements.append(Measured(width, *ends, median, metered))
     return measurements
 
@@ -71,10 +73,8 @@ def _points(height: int, width: int, device: torch.device) -> Tensor:
 
 
 def _rows_on_host(values: Tensor, distances: Tensor, points: Tensor) -> list[list[float]]:
-    """Ends of values, ends and median of distances, for each picture. Along a dimension PyTorch
-    takes 15 times as long on a CPU as over all of a picture.
-    """
-    rows = []
+    """Ends of values, ends and median of distances, for each picture."""
+    rows = []  # along a dimension PyTorch takes 15 times as long as over all of a picture
     for picture, metres in zip(values, distances, strict=True):
         nearest, farthest = checks.extent(metres)
         if math.isinf(farthest):
@@ -101,7 +101,6 @@ def _rows_on_device(values: Tensor, distances: Tensor, points: Tensor) -> list[l
 
 
 def _median(distances: Any) -> float:
-    """Median of distances (N), of two in the middle the farther one; infinite if all are."""
     solid = distances[np.isfinite(distances)]
     middle = solid.size // 2
     return float(np.partition(solid, middle)[middle]) if solid.size else math.inf

@@ -145,11 +145,8 @@ class RandomUnderwater(SampleTransform):
 
         Args:
             level: 1 (mild) … 5 (severe); .65, .5, .35, .2 and .08 of the contrast are left at the
-                scene's median distance.
+                scene's median distance. ValueError if there is none, or the water has a visibility.
             water, options: as for the class.
-
-        Raises:
-            ValueError: if there is no such level, or the water has a visibility.
         """
         if level not in SEVERITIES:
             raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
@@ -197,10 +194,7 @@ class RandomUnderwater(SampleTransform):
 
     def to_dict(self) -> dict[str, Any]:
         """The options that differ from the defaults, as JSON, YAML and TOML hold them; "none" for
-        None.
-
-        Raises:
-            TypeError: if an option cannot be written so, such as a function.
+        None. TypeError if an option cannot be written so, such as a function.
         """
         plain: dict[str, Any] = codec.to_plain(self)
         return plain
@@ -208,10 +202,8 @@ class RandomUnderwater(SampleTransform):
     @staticmethod
     def from_dict(options: Mapping[str, Any]) -> "RandomUnderwater":
         """A transform from what `to_dict` gives, or from options as a person writes them in TOML:
-        nouns as tables, a range as two numbers, "none" for None; `distance` with a `kind`.
-
-        Raises:
-            TypeError, ValueError: as the class, and if a table does not suit.
+        nouns as tables, a range as two numbers, "none" for None; `distance` with a `kind`. Raises
+        as the class.
         """
         transform: RandomUnderwater = codec.from_plain(options, RandomUnderwater)
         return transform
@@ -241,16 +233,14 @@ class RandomUnderwater(SampleTransform):
 
     @uncompiled
     def transform(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
-        """Degrade a picture or a batch as a record says: deterministic.
+        """Degrade a picture or a batch as a record says: deterministic. `image` itself comes back
+        if the record leaves all of it alone.
 
         Args:
             image (3xHxW or Bx3xHxW tensor): uint8 or floating point.
             distance (1xHxW or Bx1xHxW tensor): maps as the transform's `distance` reads them; None
                 if it reads none.
             params: from `make_params` of an equal transform; one sample serves a whole batch.
-
-        Returns:
-            The degraded image, like `image`; `image` itself if the record leaves all of it alone.
         """
         return self.scenes(image, distance, params).formed()
 

@@ -36,8 +36,8 @@ CONTENTS = Constituents(chlorophyll=(1.0, 9.0), cdom=(0.15, 1.2), minerals=(0.06
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", *[CONTENTS] * 5)
-"""Five of ten default waters are Jerlov types. In 7C and 9C nearly one colour is left, which looks
-like a filter. (Others that were tried: benchmarks/CHOICES.md, default draws.)
+"""In 7C and 9C nearly one colour is left, which looks like a filter. (What else was tried, and how
+`VISIBLE` was chosen: benchmarks/CHOICES.md, default draws.)
 """
 
 DIMMEST = 1 / 8
@@ -49,7 +49,7 @@ _CURVES = 0.002  # tolerance of a medium's curves, in the light that a metered e
 
 VISIBLE = (1.8, 14.0)
 """Median distances of a scene that one sees in the default waters: photographers stand where they
-can see. (How it was chosen: benchmarks/CHOICES.md, default draws.)
+can see.
 """
 
 PLACED_M = 2.0
@@ -350,7 +350,7 @@ class RandomWater(Noun):
         return medium.with_snow(replace(snow, drift=(x, y, z)))
 
     def _mu(self, draw: Drawn) -> float:
-        """μ; of a range no more than g, as no veil is brighter than a white plate."""
+        # of a range no more than g: no veil that is drawn is brighter than a white plate
         g: float = draw["g"]
         if self.mu is None:
             return min(1.5 * g, 1.0)

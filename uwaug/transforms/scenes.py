@@ -128,9 +128,7 @@ def scenes_of(
     nouns: Mapping[str, Any],
     view: View,
 ) -> Scenes:
-    """Put an image, whose pictures are Bx3xHxW, into the water of their draws, by the nouns of a
-    transform.
-    """
+    """Put an image, whose pictures are Bx3xHxW, into the water of their draws."""
     view.require(pictures.shape[-1])
     fast.load()  # else the first picture of a process would be off by the last bits
     water: RandomWater = nouns["water"]
@@ -208,9 +206,7 @@ def _metres_of(
     color_space: ColorSpace,
     view: View,
 ) -> Tensor:
-    """Distances (Nx1xHxW, m) of the pictures (Bx3xHxW) to degrade, by the source's `numbers` (N) of
-    each; of `Metres()` as they come.
-    """
+    """Distances (Nx1xHxW, m) of the pictures to degrade; those of `Metres()` as they come."""
     results = list[Tensor]()
     for i, (metres, picture, draw) in enumerate(zip(maps, pictures, draws, strict=True)):
         if not draw.applied:
