@@ -8,7 +8,6 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import ndimage
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
@@ -92,6 +91,8 @@ def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
     """Draw relative distances (HxW), alike to the left and the right: 0 near, 1 far, `_OPEN` open
     water; from their logarithms, up to scale and shift, and probabilities of open water.
     """
+    from scipy import ndimage
+
     height, width = log.shape
     openness = np.clip((is_open - _OPEN_FROM) / (_OPEN_TO - _OPEN_FROM), 0, 1)
     patches, _ = ndimage.label(openness > 0)
