@@ -100,11 +100,6 @@ class RandomLight(Noun):
         """See `Noun.random`."""
         return ["share", *super().random()] if self.share > 0 else self._day.random()
 
-    @staticmethod
-    def has_lamps(draw: Drawn) -> bool:
-        """True if lamps light a picture of this draw."""
-        return "rig" in draw
-
     @cached_property
     def _day(self) -> "_Day":
         return _Day(self.pitch)

@@ -182,8 +182,9 @@ class RandomUnderwater(SampleTransform):
         draw = Draw(**self._sample(Uniform(bytes(8))))
         light = self._nouns["light"].of(draw.light, measured)
         water, _ = self.water.water(draw.water, farthest)
+        medium, *_ = self.water.of(water, draw.water, measured, light, self.view)
         return Underwater(
-            self.water.of(water, draw.water, measured, light, self.view).medium,
+            medium,
             distance_range or (low, max(high, 1.01 * low)),  # of a plane, too
             color_space=self.development.color_space,
             sides=sides,

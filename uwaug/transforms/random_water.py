@@ -96,15 +96,6 @@ class Clarity(NamedTuple):
         return ""
 
 
-class PictureWater(NamedTuple):
-    """The water of one picture."""
-
-    medium: Medium
-    vertical_depth: float | None  # m; None of a medium
-    water: Water | Medium
-    contents: float  # factor of what is in it that brought it to a contrast
-
-
 @codec.plain
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomWater(Noun):
@@ -279,9 +270,9 @@ class RandomWater(Noun):
         measured: Measured,
         light: Light | None,
         view: View,
-    ) -> PictureWater:
-        """The medium of a picture, from its `water`, which is brought to the contrast that was
-        drawn, if any, in this light.
+    ) -> tuple[Medium, float | None, Water | Medium, float]:
+        """The medium of a picture; its depth [m], None of a medium; its `water`, brought to the
+        contrast that was drawn, if any, in this light; and the factor of its contents that does it.
         """
         has_lamps = bool(light and light.lamps)
         medium_of = partial(self._medium_of, draw=draw, metered=measured.metered, lamps=has_lamps)
@@ -295,7 +286,7 @@ class RandomWater(Noun):
                 contents = _contents(water, asked, measured.median)
             water = water.with_contents(contents)
         medium, depth = medium_of(water)
-        return PictureWater(self._with_snow(medium, draw, measured), depth, water, contents)
+        return self._with_snow(medium, draw, measured), depth, water, contents
 
     def _medium_of(
         self, water: Water | Medium, *, draw: Drawn, metered: bool, lamps: bool
