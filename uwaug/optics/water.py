@@ -279,7 +279,8 @@ class Water(Spectra):
             return 1.0
         fine = self._fine()
         pure = fine._pure()[:2].sum(0)
-        axes = *fine._eye(), fine.wavelengths
+        axis = fine.wavelengths
+        axes = *eye(float(axis[0]), float(axis[-1])), axis
         return _contents_for(contrast, metres, *axes, pure, fine.beta - pure)
 
     def daylight(self, depth: float) -> float:
@@ -303,15 +304,9 @@ class Water(Spectra):
             name = f"pure water (without contents of {self.name})"
         return self._scaled(factor, name, self.provenance)
 
-    def _eye(self) -> tuple[Array, Array]:
-        low, high = float(self.wavelengths[0]), float(self.wavelengths[-1])
-        if low > _VISIBLE_NM[1] or high < _VISIBLE_NM[0]:
-            raise ValueError(f"{self} has no wavelength in 400–700 nm")
-        return eye(low, high)
-
     def _at_eye(self, rates: Array) -> tuple[Array, Array]:
         """The eye's weights, whose sum is 1, and rates at its wavelengths."""
-        nodes, weights = self._eye()
+        nodes, weights = eye(float(self.wavelengths[0]), float(self.wavelengths[-1]))
         return weights, np.interp(nodes, self.wavelengths, rates)
 
     def _luminance(self, rates: Array, metres: float) -> float:
@@ -476,6 +471,8 @@ def _contents_for(
 @lru_cache(maxsize=16)
 def eye(low: float, high: float) -> tuple[Array, Array]:
     """Wavelengths between two that the eye sees, nm, and weights by the CIE 1931 observer's ȳ."""
+    if low > _VISIBLE_NM[1] or high < _VISIBLE_NM[0]:
+        raise ValueError(f"water: {low:g}–{high:g} nm has no wavelength in 400–700 nm")
     nodes = np.linspace(max(low, _VISIBLE_NM[0]), min(high, _VISIBLE_NM[1]), _EYE_NODES)
     observer = read_spectra(Path(__file__).parent / "observer.csv", {"y": "luminance"})
     weights = np.interp(nodes, observer["wavelength"], observer["y"])

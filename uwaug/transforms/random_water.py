@@ -286,7 +286,11 @@ class RandomWater(Noun):
                 contents = _contents(water, asked, measured.median)
             water = water.with_contents(contents)
         medium, depth = medium_of(water)
-        return self._with_snow(medium, draw, measured), depth, water, contents
+        if self.snow is not None:
+            snow = self.snow.of(draw["snow"])
+            x, y, z = (own + way for own, way in zip(snow.drift, measured.moved, strict=True))
+            medium = medium.with_snow(replace(snow, drift=(x, y, z)))
+        return medium, depth, water, contents
 
     def _medium_of(
         self, water: Water | Medium, *, draw: Drawn, metered: bool, lamps: bool
@@ -332,13 +336,6 @@ class RandomWater(Noun):
         medium = Medium.of_arrays(*arrays, self.point_spread or _CALIBRATED)
         vars(self)["_before"] = water, (options, lamps), medium
         return medium
-
-    def _with_snow(self, medium: Medium, draw: Drawn, measured: Measured) -> Medium:
-        if self.snow is None:
-            return medium
-        snow = self.snow.of(draw["snow"])
-        x, y, z = (own + way for own, way in zip(snow.drift, measured.moved, strict=True))
-        return medium.with_snow(replace(snow, drift=(x, y, z)))
 
     def _mu(self, draw: Drawn) -> float:
         # of a range no more than g: no veil that is drawn is brighter than a white plate
