@@ -202,6 +202,10 @@ def test_arrays_and_the_tensors_that_are_made_of_them() -> None:
         tensors = replace(medium, notes=("of tensors",)).weights()
         for arrays in (medium.weights(), tensors):
             assert all(map(np.array_equal, arrays, before))
+    medium, z = Medium.from_water("II"), torch.ones(1, dtype=torch.float64)
+    with torch.inference_mode():
+        seen = medium.transmission(z)
+    assert torch.equal(medium.transmission(z.requires_grad_()), seen)  # recorded, outside
     with pytest.raises(AttributeError, match="no attribute 'alpha'"):
         medium.alpha  # noqa: B018
 

@@ -56,7 +56,8 @@ _PIXELS = Law()
 
 def absent(value: float = 0.0) -> Any:
     """Declare a tensor of a medium that is the same number everywhere unless it is given."""
-    return field(default_factory=lambda: torch.tensor(value))
+    number = torch.tensor(value, device="cpu")
+    return field(default_factory=lambda: number)
 
 
 @plain
@@ -137,9 +138,10 @@ class Medium:
             """Make the tensors of arrays, when somebody asks for the first."""
             if name not in Medium.TENSORS or "_arrays" not in vars(self):
                 raise AttributeError(f"Medium has no attribute {name!r}")
-            tensors = {n: row_of(array) for n, array in self._arrays.items()}
             others = {"law": self.law, "notes": self.notes, "snow": self.snow}
-            vars(self).update(vars(Medium(**tensors, **others)))
+            with torch.inference_mode(False):  # its tensors cannot be used outside
+                tensors = {n: row_of(array) for n, array in self._arrays.items()}
+                vars(self).update(vars(Medium(**tensors, **others)))
             return vars(self)[name]
 
     @staticmethod
@@ -459,7 +461,8 @@ class Medium:
 
     def without_lamps(self) -> "Medium":
         """The medium without rates of its own under lamps."""
-        nothing: dict[str, Any] = {f"lamp_{name}": torch.zeros(()) for name in OF_LAMPS}
+        none = torch.zeros((), device="cpu")
+        nothing: dict[str, Any] = {f"lamp_{name}": none for name in OF_LAMPS}
         return replace(self, **nothing)
 
     def lamplit(self) -> "Medium":
