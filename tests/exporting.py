@@ -59,11 +59,6 @@ def without_graph(path: Path, module: Underwater, **metadata: str | None) -> Pat
     return path
 
 
-def stored_tensors(model: Any) -> list[Any]:
-    """What an ONNX model holds."""
-    return list(model.graph.initializer)
-
-
 class Pictures(Dataset):
     """Four pictures through a file."""
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from filing import save
 from PIL import ExifTags, Image
 
 import uwaug
@@ -17,8 +16,6 @@ from uwaug.cli.choices import with_tables
 from uwaug.cli.degrade import degrade
 from uwaug.cli.fit import _jpeg_quality
 from uwaug.distance import MadeUp, Metres, Plane, Relative
-from uwaug.files import Recipe, find_items
-from uwaug.files.prepare import prepare
 from uwaug.optics.view import WIDE
 from uwaug.transforms.random_underwater import SEVERITIES
 
@@ -652,24 +649,6 @@ def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run):
     made, wanted, flat = (np.load(f"{name}.npy").astype(int) for name in "abc")
     assert np.abs(made - wanted).max() == 0
     assert np.abs(flat - wanted).max() > 5
-
-
-@pytest.mark.parametrize("films", [1, 4])
-def test_frames_of_a_film_are_one_witness(tmp_path, monkeypatch, films):
-    """Right maps of a bowl look reversed: those of four scenes are doubted, of one they are not."""
-    monkeypatch.chdir(tmp_path)
-    y, x = np.mgrid[-1:1:150j, -1:1:200j]
-    bowl = (4 - 1.5 * (x**2 + y**2)).astype(np.float32)
-    for n in range(8):
-        view = bowl[:120, 2 * n : 2 * n + 160]
-        grey = np.repeat((60 * view).astype(np.uint8)[..., None], 3, 2)
-        save(f"film/{n % films}/{n}.png", grey)
-        save(f"map/{n % films}/{n}.npy", view)
-    recipe, items = Recipe(uwaug.RandomUnderwater("II"), sequence=True), find_items("film", "map")
-    told = " ".join(prepare(recipe, items)[1])
-    assert ("look like disparity" in told) == (films == 4)
-    told = " ".join(prepare(replace(recipe, sequence=False), items)[1])
-    assert "frames of one scene are one witness (--sequence)" in told
 
 
 def test_a_meter_that_is_switched_off_in_words(folder, run):

@@ -119,7 +119,6 @@ def draw_terms(scene: Scene, case: Case) -> Image.Image:
 
 
 def _distance(z: Tensor) -> Cell:
-    """Distances (1xHxW, m) in colours, and what these mean; +inf is open water."""
     near, far = extent(z[z.isfinite()])
     beyond = "" if bool(z.isfinite().all()) else ", open water"
     return coloured(z, (near, max(far, near + 1e-3))), (
@@ -128,7 +127,6 @@ def _distance(z: Tensor) -> Cell:
 
 
 def _curves(medium: Medium, farthest: float) -> Tensor:
-    """The picture of a medium's curves."""
     from matplotlib.figure import Figure
 
     from uwaug.fitting.plot import draw_curves

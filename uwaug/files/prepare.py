@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from uwaug._support.threads import one_thread
-from uwaug.distance.doubts import REVERSED, doubts, evidence, may_be_mm
+from uwaug.distance.doubts import doubts
 from uwaug.distance.sources import Inverse, Metres, Relative
 from uwaug.distance.unknown import NO_RANGE, in_words, of_metres, of_shares
 from uwaug.files.films import frames_of, rigs_of, unjoined
@@ -123,19 +123,9 @@ def _samples(recipe: Recipe, items: Sequence[Item]) -> list[_Sample]:
 
 
 def _doubts(recipe: Recipe, samples: Sequence[_Sample]) -> list[str]:
-    pairs = [(s.z, s.image) for s in samples if s.z is not None]
-    maps, images = [z for z, _ in pairs], [image for _, image in pairs]
+    maps = [s.z for s in samples if s.z is not None]
     if isinstance(recipe.transform.distance, Metres):
-        return doubts(maps, images)
-    clues = [evidence(z, image) for z, image in pairs]
-    sentences = [clue.size for clue in clues if clue.size][:1]
+        return doubts(maps)
     has_holes = getattr(recipe.transform.distance, "holes", "error") != "error"
     cure = "they get what --holes says" if has_holes else ""
-    sentences += [in_words(z, mask, cure) for z in maps if (mask := of_shares(z)).any()][:1]
-    disparities = sum(clue.convexity < REVERSED for clue in clues)
-    if 2 * sum(map(may_be_mm, maps)) <= len(maps) or 2 * disparities > len(maps):
-        return sentences
-    return [
-        "relative or inverse maps hold whole numbers of less than a tenth of what 16 bits do, as "
-        "those in mm: leave out distance.kind and give --unit mm (Metres(), divide by 1000)"
-    ]
+    return [in_words(z, mask, cure) for z in maps if (mask := of_shares(z)).any()][:1]

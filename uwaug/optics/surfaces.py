@@ -37,7 +37,6 @@ def reflectances(axis: bytes) -> Array:
 
 @cache
 def _table() -> Array:
-    """Wavelengths, 380…780 nm, and the reflectances (81, 4), as packaged by colour-science."""
     file = Path(__file__).parent / "reflectances" / "mallett-yuksel-2019.csv"
     return np.loadtxt(file, delimiter=",", skiprows=1)
 
@@ -62,11 +61,9 @@ def _through_camera(sensor: Array, basis: Array, M: Array, matrix: Array) -> tup
 
 @lru_cache(maxsize=16)
 def _inverse(matrix: bytes) -> Array:
-    """M⁻¹ (3, 3), of M given as the bytes of its array."""
     M = np.frombuffer(matrix).reshape(3, 3)
     if np.linalg.cond(M) > _MAX_CONDITION:
-        cure = "cover 400–700 nm, or give surfaces='grey'"
-        raise ValueError(f"camera: its channels cannot tell three colours apart: {cure}")
+        raise ValueError("camera cannot tell three colours apart: give surfaces='grey'")
     return np.asarray(np.linalg.inv(M))
 
 

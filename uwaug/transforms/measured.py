@@ -19,7 +19,7 @@ class Measured(NamedTuple):
     """Measurements of a picture, its distances and its camera, on which its draw may depend.
 
     Attributes:
-        width: px.
+        width, height: px.
         darkest, brightest: ends of the values, of 0…1; of bytes 0 and 1.
         nearest, farthest, median: distances, m; the last two of all but open water, else infinite.
         metered: True if an exposure makes up for the light that is lost above the scene.
@@ -30,6 +30,7 @@ class Measured(NamedTuple):
     """
 
     width: int
+    height: int
     darkest: float
     brightest: float
     nearest: float
@@ -62,7 +63,7 @@ def measure(pictures: Tensor, metres: Tensor, *, metered: bool) -> list[Measured
         if math.isinf(median):  # all is open water, or all of the points
             median = _median(distances[i].cpu().numpy())
         ends = darkest, brightest, nearest, farthest
-        measurements.append(Measured(width, *ends, median, metered))
+        measurements.append(Measured(width, height, *ends, median, metered))
     return measurements
 
 

@@ -20,7 +20,7 @@ from uwaug.transforms.draws import NOUNS, Draw, Record, of_frame, read_draws
 from uwaug.transforms.measured import Measured
 from uwaug.transforms.random_development import RandomDevelopment
 from uwaug.transforms.random_light import RandomLight
-from uwaug.transforms.random_water import AnyWater, RandomWater
+from uwaug.transforms.random_water import MILDEST, AnyWater, RandomWater
 from uwaug.transforms.samples import (
     Parts,
     SampleTransform,
@@ -32,7 +32,7 @@ from uwaug.transforms.samples import (
 )
 from uwaug.transforms.scenes import Scenes, scenes_of
 
-SEVERITIES = {1: 0.65, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
+SEVERITIES = {1: MILDEST, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 """Contrast at the scene's median distance, by grade of severity."""
 
 
@@ -176,7 +176,7 @@ class RandomUnderwater(SampleTransform):
             got = ", ".join(dict.fromkeys(names))
             raise ValueError(f"a module makes the same of all pictures, but {got} differ: fix them")
         nearest, farthest = self.distance.reach() or (0.1, 20.0)
-        measured = Measured(1, 0.0, 1.0, nearest, farthest, farthest, self.development.metered)
+        measured = Measured(1, 1, 0.0, 1.0, nearest, farthest, farthest, self.development.metered)
         thin, dense = self.water.field or (1.0, 1.0)
         low, high = nearest * thin, farthest * dense
         draw = Draw(**self._sample(Uniform(bytes(8))))

@@ -55,12 +55,16 @@ can see.
 PLACED_M = 2.0
 """m: stands for the median distance of a scene without a size, which is placed in its water."""
 
+MILDEST = 0.65
+"""Contrast of the mildest grade of severity, for which scenes that are placed are small enough."""
+
 # times what is in a water, from which on is warned: the clearest of `WATERS` need 42 for the
 # severest grade at 1 m
 MOST_CONTENTS = 50.0
 _LEAST_CONTENTS = 1e-3  # share of it that stays where pure water is too murky already
-_MOST_STOPS, _HALVINGS = 12.0, 13  # of contents that are looked for under lamps
-_WALL_PX = (12, 16)  # of a wall at the median distance, under lamps
+_MOST_STOPS = 12.0  # by which contents are scaled, whatever is asked for
+_HALVINGS = 13  # of stops that are looked for under lamps
+_WALL_PX = 192  # of a wall at the median distance, under lamps
 
 _CALIBRATED = PointSpread.calibrated()
 
@@ -92,7 +96,8 @@ class Clarity(NamedTuple):
             return f"that takes {times}, which is hardly that water: {named}"
         if self.contents == 0:
             asked = f"a contrast of {self.asked:.2g}" if self.asked else "the visibility"
-            return f"pure water has less than {asked} at {self.metres:.3g} m: are distances metres?"
+            got = f"pure water has less than {asked} at {self.metres:.3g} m"
+            return f"{got}: ask for less, if distances are metres"
         return ""
 
 
@@ -100,7 +105,8 @@ class Clarity(NamedTuple):
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomWater(Noun):
     """Draws the water of each picture, as its camera sees it. A range is a number or (low, high),
-    drawn uniformly; visibility and contrast uniformly in their logarithm.
+    drawn uniformly; visibility and contrast uniformly in their logarithm. Both are reached as far
+    as 0 to 4096 times what is in a water allow; a warning says where that is not enough, or much.
 
     Args:
         waters: one or several of what `uwaug.load_water` takes; `Constituents` (or their text, such
@@ -114,8 +120,8 @@ class RandomWater(Noun):
             distance of the scene, types as they are in nature if that is so.
         contrast: share of contrast that is left at the scene's median distance, ignoring scattered
             light (see `Water.contrast`), but under lamps with it: what is in the water is scaled
-            to it, as far as pure water allows; of a `Medium` all rates are. None: what is left
-            follows from the water. Distances are never scaled.
+            to it; of a `Medium` all rates are. None: what is left follows from the water. Metres
+            are never scaled; a scene without a size is placed where pure water leaves .65.
         mixing: share of a second water, picked like the first. Both draw their contents at
             the same shares of their ranges.
         vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/8 of
@@ -263,6 +269,13 @@ class RandomWater(Noun):
         contents = max(_contents(water, CONTRAST_THRESHOLD, visibility), least_contents)
         return water.with_contents(contents), contents
 
+    def farthest(self, water: Water | Medium, draw: Drawn) -> float:
+        """Distance [m] within which a scene is placed: pure water leaves what is asked for."""
+        asked = draw.get("contrast")
+        if asked is None or isinstance(water, Medium):
+            return math.inf
+        return water.with_contents(0.0).metres_for(max(asked, MILDEST))
+
     def of(
         self,
         water: Water | Medium,
@@ -365,12 +378,10 @@ class RandomWater(Noun):
 
 
 def _contents(water: Water, contrast: float, metres: float) -> float:
-    """Factor of what is in a water that leaves this contrast at a distance [m] by daylight."""
-    contents = water.contents_for(contrast, metres)
-    if math.isinf(contents):
-        cure = "draw from waters that have something in them, or give no contrast or visibility"
-        raise ValueError(f"waters: {water.name!r} is nothing but pure water to the eye: {cure}")
-    return contents
+    """Factor of what is in a water that leaves this contrast at a distance [m] by daylight, or the
+    most: next to nothing is in type I.
+    """
+    return min(water.contents_for(contrast, metres), math.exp2(_MOST_STOPS))
 
 
 def _contents_under(
@@ -384,8 +395,12 @@ def _contents_under(
     """Factor of what is in a water that leaves this contrast of a wall at the median distance, in a
     light, whose scattered light counts.
     """
-    wall = torch.full((1, *_WALL_PX), measured.median, dtype=torch.float64)
-    shown = view.resized(_WALL_PX[1] / measured.width)
+    size = measured.height, measured.width
+    # whole columns of square pixels, so that rows are nearly whole
+    columns = max(1, round(math.sqrt(_WALL_PX * size[1] / size[0])))
+    rows = max(1, round(columns * size[0] / size[1]))
+    wall = torch.full((1, rows, columns), measured.median, dtype=torch.float64)
+    shown = view.crop(size, 0, 0).resized(columns / size[1])
     low, high = -_MOST_STOPS, _MOST_STOPS
     for _ in range(_HALVINGS):
         stops = (low + high) / 2

@@ -14,7 +14,7 @@ from uwaug._support import checks
 from uwaug._support.nouns import Drawn
 from uwaug._support.once import Once
 from uwaug._support.types import ColorSpace
-from uwaug.distance.doubts import first_maps
+from uwaug.distance.doubts import question
 from uwaug.distance.sizes import brought_to
 from uwaug.distance.sources import Metres, Source
 from uwaug.distance.unknown import FARTHEST_SEEN
@@ -146,7 +146,9 @@ def scenes_of(
             numbers = [
                 # the veil grows on behind the far end, which would show the rim of open water; but
                 # it must be endless where the water may still become clearer
-                source.placed(draw.distance, partial(metres_for, of_it))
+                source.placed(
+                    draw.distance, partial(metres_for, of_it), water.farthest(of_it, draw.water)
+                )
                 | {"hides": "contrast" not in draw.water}
                 for draw, (of_it, _) in zip(applied, waters, strict=True)
             ]
@@ -212,7 +214,7 @@ def _metres_of(
         if not draw.applied:
             continue
         if metres is not None and isinstance(source, Metres) and checks.on_host(picture):
-            first_maps.question(metres, picture, stacklevel=5)
+            question(metres, stacklevel=5)
         if metres is None or source != _WHOLE_MAPS:
             srgb = picture
             if source.reads_pictures and color_space == "linear":
@@ -245,5 +247,5 @@ def _warn_if_blank(setting: Setting) -> None:
     z = setting.medium.beta.new_full((1, 1, 1), median)
     if float(contrast_left(z, setting.medium, light=setting.light)) < FAINT:
         got = f"less than {100 * FAINT:g} % of the contrast is left on half of a picture or more"
-        cure = "are distances metres? If so, take clearer water by contrast"
+        cure = "take clearer water by contrast, if distances are metres"
         _blank.warn(f"{got}, of median distance {median:.3g} m: {cure}")
