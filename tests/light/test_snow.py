@@ -124,13 +124,13 @@ def test_a_disc_has_its_radiance(single) -> None:
 
 
 def test_the_same_particles_at_any_size() -> None:
+    pool = torch.nn.functional.avg_pool2d
     small, large = layer(SNOW, far()), layer(SNOW, far((2 * SIZE[0], 2 * SIZE[1])))
-    pooled = torch.nn.functional.avg_pool2d(large, 2)
+    pooled = pool(large, 2)
     torch.testing.assert_close(pooled.sum(), small.sum(), rtol=0.03, atol=0)
-    near = torch.nn.functional.avg_pool2d(pooled - small, 4).abs().mean()
-    assert near < 0.15 * small.mean()
+    assert pool(pooled - small, 4).abs().mean() < 0.15 * small.mean()
     other = layer(replace(SNOW, seed=6), far())
-    assert torch.nn.functional.avg_pool2d(other - small, 4).abs().mean() > 0.5 * small.mean()
+    assert pool(other - small, 4).abs().mean() > 0.5 * small.mean()
 
 
 def test_the_scene_hides_what_is_behind_it() -> None:
@@ -183,17 +183,6 @@ def test_each_particle_keeps_its_place_in_the_water(drift) -> None:
     assert np.mean(np.abs(steps.T - drift).max(1) < 1e-9) > 0.97  # others come anew
 
 
-def test_the_water_ends_nowhere() -> None:
-    """However far a camera moves, there are as many particles, and as evenly spread."""
-    counts, edges = [], []
-    for way in np.linspace(0, 3, 13):
-        drawn = replace(SNOW, drift=(way, -2 * way, -5 * way)).particles(0.6, 0.4)
-        counts.append(len(drawn.z))
-        edges.append(np.abs(np.array([drawn.x / 0.6, drawn.y / 0.4])).mean(1))
-    assert np.ptp(counts) < 0.15 * np.mean(counts)
-    np.testing.assert_allclose(np.mean(edges, 0), [0.55, 0.575], atol=0.02)
-
-
 @pytest.mark.parametrize("view", [(0.577, 144.0), (11.4, 8.6), (0.01, 0.01)])
 def test_memory_goes_with_what_is_seen(view) -> None:
     tracemalloc.start()
@@ -208,10 +197,8 @@ def test_gradients_pass() -> None:
     image, z = rand(1, 3, *SIZE).requires_grad_(), far().requires_grad_()
     beta = torch.tensor(BETA, dtype=torch.float64, requires_grad=True)
     medium = Medium.from_coefficients(beta, G, (0.1, 0.2, 0.3)).with_snow(SNOW)
-    form_image(image, z, medium, light=LAMPS).image.sum().backward()
-    slopes = (image.grad, z.grad, beta.grad)
-    for slope in slopes:
-        assert slope is not None
+    total = form_image(image, z, medium, light=LAMPS).image.sum()
+    for slope in torch.autograd.grad(total, (image, z, beta)):
         assert bool(slope.isfinite().all())
         assert bool((slope != 0).any())
 
@@ -276,22 +263,22 @@ def test_a_seed_is_kept_and_a_film_adds_to_its_drift() -> None:
 
 
 @pytest.mark.parametrize(
-    "name, value",
+    "call, name",
     [
-        *[("density", density) for density in (0.0, (5000, 500))],
-        ("reflectance", 1.5),
-        ("focus", 0.0),
-        ("drift", 0.1),
-        *[("seed", seed) for seed in (1.5, -1, 2**32)],
+        (lambda: MarineSnow(density=0.0), "density"),
+        (lambda: MarineSnow(density=(5000, 500)), "density"),
+        (lambda: MarineSnow(reflectance=1.5), "reflectance"),
+        (lambda: MarineSnow(focus=0.0), "focus"),
+        (lambda: MarineSnow(drift=0.1), "drift"),
+        (lambda: MarineSnow(seed=1.5), "seed"),
+        (lambda: MarineSnow(seed=2**32), "seed"),
+        (lambda: WATER.with_snow(MarineSnow((500, 5000))), "density"),
+        (lambda: RandomWater(snow=2000.0), "snow must be"),
     ],
 )
-def test_what_is_refused(name, value) -> None:
-    with pytest.raises((TypeError, ValueError), match=f"{name}"):
-        MarineSnow(**{name: value})
-    with pytest.raises(ValueError, match="density"):
-        WATER.with_snow(MarineSnow((500, 5000)))
-    with pytest.raises(TypeError, match="snow must be"):
-        RandomWater(snow=2000.0)
+def test_what_is_refused(call, name) -> None:
+    with pytest.raises((TypeError, ValueError), match=name):
+        call()
 
 
 def test_without_a_seed_each_picture_of_a_batch_has_its_own() -> None:
