@@ -83,7 +83,10 @@ def test_what_is_no_regular_file_is_refused(tmp_path, make, linked):
     assert len(list(tmp_path.iterdir())) == count
 
 
-@pytest.mark.parametrize("error", [ValueError(), KeyboardInterrupt(), OSError(errno.ENOSPC, "Full")])
+FULL = OSError(errno.ENOSPC, "Full")
+
+
+@pytest.mark.parametrize("error", [ValueError(), KeyboardInterrupt(), FULL])
 def test_nothing_is_left_after_an_exception(tmp_path, error):
     path = tmp_path / "a.txt"
     path.write_text("old")

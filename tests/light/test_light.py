@@ -136,8 +136,6 @@ def test_single_precision_is_enough() -> None:
         assert float((found - wanted).square().mean().sqrt()) < 2e-6
 
 
-
-
 def test_a_blur_is_planned_for_lamps() -> None:
     """Where daylight is gone, what a lamp's light scatters forward is blurred all the same."""
     deep = Medium.from_water("7C", vertical_depth=60.0, point_spread=PointSpread.calibrated())

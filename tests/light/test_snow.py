@@ -23,8 +23,6 @@ from uwaug import (
     form_image,
 )
 from uwaug._support import codec
-from uwaug.formation.image import form
-from uwaug.formation.setting import Setting
 from uwaug.optics.snow import COUNTED, SIZES, Particles
 
 BETA, G, AMBIENT = (0.5, 0.3, 0.2), (0.3, 0.2, 0.1), (0.4, 0.6, 0.8)
@@ -90,21 +88,6 @@ def test_a_particle_sends_its_radiance_times_its_area(single, place, diameter, l
     expected = 0.4 * area * radiance(*place, light)
     # a lamp has a radius, by which angles to it differ
     torch.testing.assert_close(added.sum((1, 2)), expected, rtol=5e-3, atol=1e-12)
-
-
-def test_its_light_is_lost_in_the_denser_water_of_a_field(single) -> None:
-    single(0.0, 0.0, 1.5, 5e-4)
-    black, metres = far().new_zeros(1, 3, *SIZE), far()
-
-    def added(density: float) -> Tensor:
-        without, with_it = (
-            form(black, density * metres, Setting(medium, color_space="linear"), metres=metres)
-            for medium in (WATER, WATER.with_snow(SNOW))
-        )
-        return (with_it - without)[0].sum((1, 2))
-
-    lost = torch.exp(-1.5 * torch.tensor(BETA).double())
-    torch.testing.assert_close(added(2.0), lost * added(1.0))
 
 
 def test_a_disc_has_its_radiance(single) -> None:
@@ -289,11 +272,20 @@ def test_without_a_seed_each_picture_of_a_batch_has_its_own() -> None:
         assert (first - second).abs().max() > 1e-3
 
 
-def test_in_a_field_it_stands_where_it_stands_by_any_light() -> None:
-    image, z, thin = torch.zeros(1, 3, *SIZE), far().float(), torch.full((1, 1, *SIZE), 0.3)
-    snowy = WATER.with_snow(SNOW)
-    by_day, by_light = (
-        Underwater(snowy, None, color_space="linear", light=light)(image, z, thin)
-        for light in (None, Light())
-    )
-    torch.testing.assert_close(by_day, by_light, rtol=0, atol=1e-6)
+@pytest.mark.parametrize("light", [None, Light()])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])  # by the loops, by PyTorch
+def test_in_a_field_a_particle_keeps_its_place_and_loses_light(single, light, dtype) -> None:
+    single(0.0, 0.0, 1.5, 5e-4)
+    black, metres = torch.zeros(1, 3, *SIZE, dtype=dtype), far().to(dtype)
+
+    def added(density: float) -> Tensor:
+        without, with_it = (
+            Underwater(medium, None, color_space="linear", light=light)(
+                black, metres, torch.full_like(metres, density)
+            )
+            for medium in (WATER, WATER.with_snow(SNOW))
+        )
+        return (with_it - without)[0].double().sum((1, 2))
+
+    lost = torch.exp(-1.5 * torch.tensor(BETA).double())
+    torch.testing.assert_close(added(2.0), lost * added(1.0), rtol=1e-3, atol=0)
