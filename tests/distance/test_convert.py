@@ -14,8 +14,7 @@ OF_EACH = 0.1 + rand(2, 1, 1, 1)
 
 
 @pytest.mark.parametrize(
-    "near, far, gamma",
-    [(0.5, 10, 5), (0, 20, 0.5), (3, 3, 2), (OF_EACH, 1 + OF_EACH, 2 * OF_EACH)],
+    "near, far, gamma", [(0.5, 10, 5), (0, 20, 0.5), (3, 3, 2), (OF_EACH, 1 + OF_EACH, 2 * OF_EACH)]
 )
 def test_relative_is_the_formula(near, far, gamma) -> None:
     t = rand(2, 1, 5, 7)
