@@ -24,18 +24,12 @@ def toy(**changes):
     return Camera(**values | changes)
 
 
-# ----- own responses
-
-
 def test_copies_are_equal_and_still_read_only():
     camera = load_camera(NIKON)
     for twin in (copy.deepcopy(camera), pickle.loads(pickle.dumps(camera))):
         assert twin == camera
         assert hash(twin) == hash(camera)
         assert not any(array.flags.writeable for array in (twin.wavelengths, twin.response))
-
-
-# ----- at, weights
 
 
 def test_at_interpolates_and_is_dark_outside():
@@ -65,9 +59,6 @@ def test_weights_sum_to_one_and_do_not_depend_on_the_scale_of_the_response(grid)
     )
 
 
-# ----- by name
-
-
 def test_names_and_values_are_those_of_colour_science():
     options = np.get_printoptions()
     import colour
@@ -80,9 +71,6 @@ def test_names_and_values_are_those_of_colour_science():
         np.testing.assert_array_equal(camera.response, entry.values)
     assert load_camera(camera) is camera
     assert load_camera("NIKON 5100 NPL") is load_camera("Nikon5100(NPL)") is load_camera(NIKON)
-
-
-# ----- from a file
 
 
 @pytest.mark.parametrize("text", [ROWS, '\ufeff"lambda","r (rel.)","Green","b"\r\n' + ROWS])

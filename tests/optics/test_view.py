@@ -48,12 +48,6 @@ def test_a_crop_is_a_part_of_the_whole(light: Light, name: str) -> None:
         for distance, seen in ((part(z), options["view"]), (z, view))
     )
     torch.testing.assert_close(left, part(all_left), rtol=1e-9, atol=1e-12)
-    with_loops = (
-        Underwater(SHARP, None, light=light, view=seen)(x.float(), distance.float())
-        for x, distance, seen in ((part(image), part(z), options["view"]), (image, z, view))
-    )
-    crop, whole = with_loops
-    torch.testing.assert_close(crop, part(whole), rtol=0, atol=2e-6)
 
 
 def test_a_crop_has_the_blur_of_the_whole() -> None:

@@ -42,9 +42,6 @@ def test_equality_sees_every_field() -> None:
         assert toy() != toy(**{name: value}), name
 
 
-# ---- resample, mix
-
-
 def test_at_is_linear_interpolation() -> None:
     water = toy(name="tank", provenance=("by hand",))
     fine = water.at([400, 425, 650, 700])
@@ -74,9 +71,6 @@ def test_mixtures_end_in_their_waters() -> None:
     assert clear.mix(Water.jerlov("ii"), 0.4) is clear
 
 
-# ---- what one sees
-
-
 def test_visibility_at_the_ends() -> None:
     for beta in (1e-6, 1e6):
         grey = Water(NM, [beta / 4] * 4, [beta * 3 / 4] * 4, [beta] * 4)
@@ -99,9 +93,6 @@ def test_contrast_is_what_luminance_keeps(type: str) -> None:
     # K_d in place of β, the same integral
     grey = Water(water.wavelengths, water.kd, 0 * water.kd, water.kd)
     assert water.daylight(depth) == pytest.approx(grey.contrast(depth), rel=1e-12)
-
-
-# ---- more or less in it
 
 
 CONTENT = JERLOV_TYPES[1:]  # in type I there is less than the tables' error
@@ -162,9 +153,6 @@ def test_derived_waters_are_waters(water: Water) -> None:
             assert not any(getattr(after, key).flags.writeable for key in QUANTITIES)
 
 
-# ---- the Jerlov types
-
-
 # wavelength, a, b, K_d of Solonenko & Mobley 2015, Tables 4–8, and repaired: a of Williamson &
 # Hollins 2022, b of Solonenko & Mobley, Eq. (8) with Table 3, K_d of Jerlov 1976, Table XXVII
 PRINTED = {
@@ -191,9 +179,6 @@ def test_types_are_as_printed_measured_or_repaired() -> None:
                 assert [water.a[at], water.b[at], water.kd[at]] == pytest.approx(printed, 1e-12)
     borrowed = "Jerlov IB: K_d at 310–700 nm: Jerlov 1976, Table XXVII (not in this source)"
     assert borrowed in Water.jerlov("IB", "williamson2022").provenance
-
-
-# ---- by name, contents or file
 
 
 ROWS = "400,0.5,1.3,0.7\n550,0.2,1.1,0.3\n700,0.7,1.0,0.8\n"
@@ -275,9 +260,6 @@ def test_choices_of_the_command_line_are_the_waters_that_have_names() -> None:
     """It lists them without loading the library."""
     assert (JERLOV_TYPES, tuple(PLACES)) == (choices.WATERS, choices.PLACES)
     assert {load_water(name.upper()).name for name in PLACES} == {*PLACES}
-
-
-# ---- refusals
 
 
 II, PURE_TYPE = Water.jerlov("II"), Water.jerlov("I").at(WAVELENGTHS)

@@ -107,9 +107,6 @@ def test_lius_artificial_light_is_summed_along_the_ray():
     torch.testing.assert_close(srgb_to_linear(ours[:, 0, 0]), exact, rtol=0, atol=1e-3)
 
 
-# ------------------------------------------------------------------- figures of the sources
-
-
 def test_what_mcglamery_asks_of_G():
     for type in JERLOV_TYPES:
         water = Water.jerlov(type).at(reference.BANDS)
@@ -131,9 +128,6 @@ def test_slurpps_rates_follow_the_sources_rule():
         if beta.min() > 0.5:
             beta = beta / beta.max() * 0.2
         np.testing.assert_allclose(SLURPP[type], beta, atol=6e-6)
-
-
-# ---------------------------------------------------------------------- pictures and draws
 
 
 @pytest.mark.parametrize("name", published.systems())
