@@ -59,8 +59,8 @@ def accuracy() -> str:
         f"By `python -m benchmarks` ({on}).",
         f"**Blur**, by {low} to {high} blurs, is within {psnr:.0f} dB of each pixel's own Gaussian "
         f"of .75 to 60 px. **Curves** are within {error:.4f} of sums over 61 bands. The **image** "
-        f"has an RMSE of {largest:.4f} of linear light at most, in {len(rows)} cases; a single value "
-        f"is {worst:.4f} off.",
+        f"has an RMSE of {largest:.4f} of linear light at most, in {len(rows)} cases; a single "
+        f"value is {worst:.4f} off.",
         "**Light transport** (`physics`): mean RMSE of direct and forward-scattered light against "
         "Monte Carlo transport over 0.1 to 5 scattering lengths, and in six Monte Carlo pictures:",
         _transport_table(load("physics")),
@@ -141,8 +141,8 @@ def chart() -> str:
         "`python -m benchmarks frontier` tries every way that we know to compute each part: error "
         "of the final image against time. The default, in PyTorch, is red:",
         "![PSNR against time for blur, spectra, number formats and runtimes](figures/frontier.png)",
-        f"It is on the Pareto front or within 10 % of it in {near} of {len(every)} panels, of which "
-        "seven are drawn. How much slower it is than the fastest method that is as accurate:",
+        f"It is on the Pareto front or within 10 % of it in {near} of {len(every)} panels, of "
+        "which seven are drawn. How much slower it is than the fastest method that is as accurate:",
         table(["part", "PSNR, 512²", *settings, "which is"], rows),
     ]
     return "\n\n".join(paragraphs)
@@ -227,9 +227,9 @@ def fits() -> str:
         f"{name} {100 * share:.2f} %" for name, share in found["median_relative_error"].items()
     )
     return (
-        f"**Fits** (`fitting_recovery`): {found['runs']} random waters, 250×370, 1 % noise, 8 bits, "
-        f"model `auto`. {found['covered_percent']:.0f} % of {found['numbers']} intervals hold the "
-        f"truth. Median errors are {off}. `auto` picks the model that made the picture in "
+        f"**Fits** (`fitting_recovery`): {found['runs']} random waters, 250×370, 1 % noise, "
+        f"8 bits, model `auto`. {found['covered_percent']:.0f} % of {found['numbers']} intervals "
+        f"hold the truth. Median errors are {off}. `auto` picks the model that made the picture in "
         f"{found['right_model_percent']:.0f} %. " + _files(found["files"])
     )
 
