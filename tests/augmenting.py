@@ -19,6 +19,7 @@ from uwaug import (
     RandomUnderwater,
     RandomWater,
     Sensor,
+    View,
     Water,
 )
 from uwaug.distance import Inverse, MadeUp, Metres, Network, Plane, Relative
@@ -63,7 +64,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "network": {"distance": Network(brightness)},
     "made up": {"distance": MadeUp()},
     "half": {"p": 0.5},
-    "fill": {"distance": Metres("fill", True)},
+    "fill": {"distance": Metres("fill", True), "view": View(60.0)},
     "keys": {"keys": ("rgb", "range")},
     "linear": {"development": RandomDevelopment(color_space="linear")},
     "night": {"light": RandomLight(share=0.5)},
