@@ -16,10 +16,10 @@ NOISE = "What is left is not noise"
 
 
 def medium_of(water: uwaug.Water | str, depth: float, **options: object) -> uwaug.Medium:
-    """With the constants that `fit_water` takes, of the scene at a seventh of its size."""
-    known = {"g": Scattering.CALIBRATED.g, "surfaces": "spectral"}
-    known["point_spread"] = uwaug.PointSpread.calibrated()
-    return uwaug.Medium.from_water(water, vertical_depth=depth, **{**known, **options})
+    """With the constants that `fit_water` takes."""
+    known = {"g": Scattering.CALIBRATED.g, "point_spread": uwaug.PointSpread.calibrated()}
+    options = {**known, "surfaces": "spectral", **options}
+    return uwaug.Medium.from_water(water, vertical_depth=depth, **options)
 
 
 def test_finds_type_visibility_and_depth(water: Fit) -> None:
@@ -116,15 +116,11 @@ def test_surfaces_are_told_and_depth_is_in_its_interval(two: None, surfaces: Sur
 
 @pytest.mark.parametrize("wrong", ["no Jerlov water", "distances", "surfaces"])
 def test_no_type_is_named_that_does_not_explain_the_picture(two: None, wrong: str) -> None:
-    clean, observed, z = seen(medium_of("3C", 2.0), noise=0.002)
-    surfaces: Literal["auto", "grey"] = "auto"
-    if wrong == "surfaces":
-        surfaces = "grey"
-    elif wrong == "distances":
-        z = z + 0.5
-    else:
-        grey = uwaug.Medium.from_coefficients((0.3,) * 3, (0.2,) * 3, (0.5,) * 3)
-        clean, observed, z = seen(grey)
-    fit = fit_water(clean, observed, z, surfaces=surfaces, pixels=500)
+    water = medium_of("3C", 2.0)
+    if wrong == "no Jerlov water":
+        water = uwaug.Medium.from_coefficients((0.3,) * 3, (0.2,) * 3, (0.5,) * 3)
+    clean, observed, z = seen(water, noise=0.002)
+    surfaces: Surfaces | Literal["auto"] = "grey" if wrong == "surfaces" else "auto"
+    fit = fit_water(clean, observed, z + (wrong == "distances") / 2, surfaces=surfaces, pixels=500)
     assert any(NOISE in note for note in fit.notes)
     assert (fit.model, fit.adequate) == ("no Jerlov type", False)
