@@ -19,7 +19,6 @@ import uwaug
 ROOT = Path(__file__).parent.parent
 FOUND = {module.name for module in pkgutil.walk_packages(uwaug.__path__, "uwaug.")}
 GUIDES = [ROOT / "README.md", *sorted(ROOT.glob("[!.]*/**/*.md"))]
-COPIED_FIRST = [ROOT / "README.md", ROOT / "uwaug" / "GUIDE.md"]
 FEW_TYPES = ("3C", "5C")  # to fit each takes a second
 MODULES = sorted({"uwaug"} | {name for name in FOUND if not name.endswith("__main__")})
 HEAVY = {
@@ -117,38 +116,9 @@ def blocks_of(guide: Path, folder: Path) -> Iterator[tuple[str, Path]]:
         yield block, own
 
 
-IN_NEW_PROCESSES = f"""
-import os, sys
-import torch
-from uwaug.fitting import jerlov
-
-jerlov.JERLOV_TYPES = {FEW_TYPES}
-for folder in sys.argv[1:]:
-    if os.fork() == 0:
-        os.chdir(folder)
-        exec(open("block.py", encoding="utf-8").read(), {{"__name__": "__main__"}})
-        sys.exit()
-    if os.wait()[1]:
-        sys.exit(folder + "/block.py failed")
-"""
-
-
-def test_blocks_that_are_copied_first_run_each_in_a_new_process(tmp_path: Path) -> None:
-    folders = []
-    for guide in COPIED_FIRST:
-        (tmp_path / guide.name).mkdir()
-        for block, folder in blocks_of(guide, tmp_path / guide.name):
-            (folder / "block.py").write_text(block, encoding="utf-8")
-            folders.append(str(folder))
-    assert len(folders) == 5
-    command = [sys.executable, "-c", IN_NEW_PROCESSES, *folders]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
 @pytest.mark.parametrize(
     "guide",
-    [guide for guide in GUIDES if guide not in COPIED_FIRST],
+    GUIDES,
     ids=lambda path: str(path.relative_to(ROOT)),
 )
 def test_each_block_of_a_guide_runs_alone(

@@ -48,21 +48,6 @@ def test_petzold_samples_what_was_measured(station: str) -> None:
     assert (angle > 90).mean() == pytest.approx(measured.backscatter_ratio, rel=0.06)
 
 
-def test_single_scattering_in_a_thin_layer() -> None:
-    """At b·z = .001 light is scattered once: two integrals over the depth and the angle, with
-    a/b = 1.
-    """
-    lengths, asymmetry, absorption = 1e-3, 0.85, 1.0
-    mu = (np.arange(20_000) + 0.5) / 20_000
-    phase = 0.5 * (1 - asymmetry**2) / (1 + asymmetry**2 - 2 * asymmetry * mu) ** 1.5
-    depth = (np.arange(50) + 0.5) / 50 * lengths
-    c = 1 + absorption
-    arrives = np.exp(-c * (depth[:, None] + (lengths - depth[:, None]) / mu))
-    expected = lengths * (arrives * phase).mean()
-    ours = spread(walk(henyey_greenstein(asymmetry).sample, lengths, PHOTONS), absorption)
-    assert ours.forward == pytest.approx(expected, rel=0.005)
-
-
 @pytest.fixture(scope="module")
 def truths() -> dict[str, list[Spread]]:
     """What the calibrated law is fitted to, from fewer photons."""

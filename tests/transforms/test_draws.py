@@ -1,24 +1,14 @@
 """Draws by name: each number stands for itself."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
 import torch
-from augmenting import distances, flat, picture, same
-from torch import Tensor
+from augmenting import brightness, distances, flat, picture, same
 
-from uwaug import (
-    MarineSnow,
-    RandomDevelopment,
-    RandomLight,
-    RandomUnderwater,
-    RandomWater,
-    Sensor,
-)
-from uwaug._support.nouns import Uniform, number
-from uwaug.distance import MadeUp, Relative, Source
+from uwaug import MarineSnow, RandomDevelopment, RandomLight, RandomUnderwater, RandomWater, Sensor
+from uwaug._support.nouns import Uniform
+from uwaug.distance import MadeUp, Network, Relative
 from uwaug.formation.colour import srgb_to_linear
 
 OTHERS: dict[str, dict[str, Any]] = {
@@ -75,35 +65,14 @@ def test_options_are_read_only_and_lists_stay_the_callers_own() -> None:
     assert (water.waters, snow.density) == (("II", "7C"), (500.0, 600.0))
 
 
-@dataclass(frozen=True)
-class Brightness(Source):
-    """Distances of a network that takes sRGB, with numbers of its own."""
-
-    reads_maps = False
-    reads_pictures = True
-
-    power: Any = number((0.1, 0.2), 0.0)
-
-    def ranges(self) -> dict[str, Any]:
-        return {**super().ranges(), "metres a unit": (1.0, 2.0)}
-
-    def metres(
-        self, distance: Tensor | None, image: Tensor, drawn: Mapping[str, Any], **view: Any
-    ) -> Tensor:
-        return drawn["power"] + drawn["metres a unit"] * image[:1]
-
-
-def test_a_source_that_reads_pictures_gets_srgb() -> None:
-    srgb = picture()
+def test_a_network_gets_srgb() -> None:
     metres = []
-    for space, image in (("srgb", srgb), ("linear", srgb_to_linear(srgb))):
+    for space, image in (("srgb", picture()), ("linear", srgb_to_linear(picture()))):
         development = RandomDevelopment(color_space=space)  # type: ignore[arg-type]
-        water = RandomWater(contrast=None)
-        augment = RandomUnderwater(water, distance=Brightness(), development=development)
+        augment = RandomUnderwater("II", distance=Network(brightness), development=development)
         record = augment.make_params(image, torch.Generator().manual_seed(1))
         metres.append(augment.scenes(image, None, record).metres)
-        assert record["samples"][0]["distance"].keys() == {"power", "metres a unit"}
-    torch.testing.assert_close(*metres, rtol=0, atol=1e-5)
+    torch.testing.assert_close(*metres, rtol=0, atol=1e-4)
 
 
 def test_median_and_ends_are_those_of_what_is_not_open_water() -> None:

@@ -13,7 +13,6 @@ from torch import Tensor
 import uwaug
 from uwaug import MarineSnow, RandomLight, RandomUnderwater, RandomWater, Sensor, View
 from uwaug.distance import MadeUp
-from uwaug.distance.doubts import first_maps
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import RandomDevelopment, UnderwaterLike
 from uwaug.transforms.appearance import WATER_FEATURES, water_features
@@ -137,13 +136,6 @@ def test_a_photograph_is_srgb_where_pictures_are_linear_light() -> None:
     assert found.nearness.drawn == pytest.approx(seen.nearness.drawn, rel=0.07)
 
 
-@pytest.mark.usefixtures("nothing_is_said")
-def test_trials_are_no_first_maps_of_a_process() -> None:
-    shares = (maps(4) - 0.95) / 6
-    uwaug.like(GREEN, pictures(4), shares, **FEW)  # silent: a warning would be an error
-    assert first_maps.looks_left == first_maps.looks
-
-
 def liked(**options: Any) -> Any:
     given = {"reference": GREEN, "pictures": pictures(2), "distance": maps(2), **FEW, **options}
     return lambda: uwaug.like(**given)
@@ -179,21 +171,6 @@ def test_what_is_refused(call: Any, words: str) -> None:
 def test_kept_draws_are_draws_of_the_transform() -> None:
     (drawn,) = UnderwaterLike("9C", kept=[{"water": {"g": 0.3}}]).make_params(GREEN)["samples"]
     assert (drawn["water"]["waters"], drawn["water"]["g"]) == (["9C"], 0.3)
-
-
-def test_numbers_say_what_they_are_called() -> None:
-    x = torch.full((64, 80, 3), 0.5).numpy()
-    x[..., 0] = 0.2
-    # grey and rough above, plain water below
-    x[:32, :, 1:] = torch.rand(32, 80, 1, generator=torch.Generator().manual_seed(0)).numpy() * 0.4
-    features = water_features(x)
-    assert list(features) == list(WATER_FEATURES)
-    assert (features["log_RG"] < -1, features["sd_RG"] < -4) == (True, True)
-    assert (features["log_BG"], features["corr_RG"]) == pytest.approx((0, 0), abs=1e-6)
-    assert 0.2 < features["dark"] < 0.27
-    assert features["veil_a"] < features["a_mean"] < 0
-    assert features["veil_L"] > features["L_mean"]
-    assert features["chroma"] > 5
 
 
 def test_kept_daylight_has_no_lamps() -> None:

@@ -20,7 +20,7 @@ CLEAR = Medium.from_coefficients((1e-9,) * 3, (1e-9,) * 3, (0.0,) * 3)
 
 
 def lights(random: RandomLight, count: int, metres: float = 3.0) -> list[Any]:
-    seen = Measured(H, W, 0.0, 1.0, metres / 2, 2 * metres, metres)
+    seen = Measured(W, H, 0.0, 1.0, metres / 2, 2 * metres, metres)
     return [random.of(random.drawn(Uniform(seed.to_bytes(8))), seen) for seed in range(count)]
 
 

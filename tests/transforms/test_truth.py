@@ -8,25 +8,18 @@ import torch
 from augmenting import distances, picture
 from torch import Tensor
 
-from uwaug import (
-    MarineSnow,
-    PointSpread,
-    RandomDevelopment,
-    RandomLight,
-    RandomUnderwater,
-    RandomWater,
-    form_image,
-)
+import uwaug
+from uwaug import PointSpread, RandomDevelopment, RandomUnderwater, RandomWater, form_image
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms.truth import Truth
 
 CAMERA = RandomDevelopment(gamut=0, tone=1)
 CASES: dict[str, dict[str, Any]] = {
     "default": {},
-    "lamps": {"light": RandomLight(share=1.0)},
+    "lamps": {"light": uwaug.RandomLight(share=1.0)},
     "level": {"light": None},
     "a type in three channels": {"water": RandomWater("7C", color_matrix=None, field=None)},
-    "snow": {"water": RandomWater(snow=MarineSnow(3000.0))},
+    "snow": {"water": RandomWater(snow=uwaug.MarineSnow(3000.0))},
     "linear": {"development": RandomDevelopment(gamut=0, tone=1, color_space="linear")},
 }
 
