@@ -5,7 +5,6 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -106,21 +105,7 @@ def test_examples_in_docstrings_run(
     assert doctest.testmod(importlib.import_module(name)).failed == 0
 
 
-def blocks_of(guide: Path, folder: Path) -> Iterator[tuple[str, Path]]:
-    """Each Python block of a guide, with an empty folder for it."""
-    text = guide.read_text(encoding="utf-8")
-    blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    for number, block in enumerate(blocks):
-        own = folder / str(number)
-        own.mkdir()
-        yield block, own
-
-
-@pytest.mark.parametrize(
-    "guide",
-    GUIDES,
-    ids=lambda path: str(path.relative_to(ROOT)),
-)
+@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_each_block_of_a_guide_runs_alone(
     guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,8 +118,11 @@ def test_each_block_of_a_guide_runs_alone(
 
     monkeypatch.setattr(uwaug.onnx, "export_onnx", exported)
     monkeypatch.setattr("uwaug.fitting.jerlov.JERLOV_TYPES", FEW_TYPES)
-    for block, folder in blocks_of(guide, tmp_path):
-        monkeypatch.chdir(folder)
+    text = guide.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    for number, block in enumerate(blocks):
+        (tmp_path / str(number)).mkdir()
+        monkeypatch.chdir(tmp_path / str(number))
         torch.manual_seed(0)  # as many draw their pictures
         exec(compile(block, str(guide.relative_to(ROOT)), "exec"), {"__name__": "readme"})
 
