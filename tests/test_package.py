@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import uwaug
 ROOT = Path(__file__).parent.parent
 FOUND = {module.name for module in pkgutil.walk_packages(uwaug.__path__, "uwaug.")}
 GUIDES = [ROOT / "README.md", *sorted(ROOT.glob("[!.]*/**/*.md"))]
+COPIED_FIRST = [ROOT / "README.md", ROOT / "uwaug" / "GUIDE.md"]
 FEW_TYPES = ("3C", "5C")  # to fit each takes a second
 MODULES = sorted({"uwaug"} | {name for name in FOUND if not name.endswith("__main__")})
 HEAVY = {
@@ -105,7 +107,50 @@ def test_examples_in_docstrings_run(
     assert doctest.testmod(importlib.import_module(name)).failed == 0
 
 
-@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: str(path.relative_to(ROOT)))
+def blocks_of(guide: Path, folder: Path) -> Iterator[tuple[str, Path]]:
+    """Each Python block of a guide, with an empty folder for it."""
+    text = guide.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    for number, block in enumerate(blocks):
+        own = folder / str(number)
+        own.mkdir()
+        yield block, own
+
+
+IN_NEW_PROCESSES = f"""
+import os, sys
+import torch
+from uwaug.fitting import jerlov
+
+jerlov.JERLOV_TYPES = {FEW_TYPES}
+for folder in sys.argv[1:]:
+    if os.fork() == 0:
+        os.chdir(folder)
+        exec(open("block.py", encoding="utf-8").read(), {{"__name__": "__main__"}})
+        sys.exit()
+    if os.wait()[1]:
+        sys.exit(folder + "/block.py failed")
+"""
+
+
+def test_blocks_that_are_copied_first_run_each_in_a_new_process(tmp_path: Path) -> None:
+    folders = []
+    for guide in COPIED_FIRST:
+        (tmp_path / guide.name).mkdir()
+        for block, folder in blocks_of(guide, tmp_path / guide.name):
+            (folder / "block.py").write_text(block, encoding="utf-8")
+            folders.append(str(folder))
+    assert len(folders) == 5
+    command = [sys.executable, "-c", IN_NEW_PROCESSES, *folders]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "guide",
+    [guide for guide in GUIDES if guide not in COPIED_FIRST],
+    ids=lambda path: str(path.relative_to(ROOT)),
+)
 def test_each_block_of_a_guide_runs_alone(
     guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,11 +163,8 @@ def test_each_block_of_a_guide_runs_alone(
 
     monkeypatch.setattr(uwaug.onnx, "export_onnx", exported)
     monkeypatch.setattr("uwaug.fitting.jerlov.JERLOV_TYPES", FEW_TYPES)
-    text = guide.read_text(encoding="utf-8")
-    blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    for number, block in enumerate(blocks):
-        (tmp_path / str(number)).mkdir()
-        monkeypatch.chdir(tmp_path / str(number))
+    for block, folder in blocks_of(guide, tmp_path):
+        monkeypatch.chdir(folder)
         torch.manual_seed(0)  # as many draw their pictures
         exec(compile(block, str(guide.relative_to(ROOT)), "exec"), {"__name__": "readme"})
 

@@ -432,10 +432,8 @@ def test_open_water(host: bool, monkeypatch: pytest.MonkeyPatch) -> None:
 
 NO_WATER = "times what is in it, which is hardly that water"
 THICK = RandomWater("chlorophyll=.01", visibility=2.0)
-SHARES = torch.linspace(0.01, 1, H * W).reshape(1, H, W)
 SAID: list[tuple[RandomWater, Light | None, Tensor, str]] = [
     (RandomWater("9C", field=None), None, wall(50.0), r"less than 3 % .* distance 50 m"),
-    (RandomWater(), None, SHARES, r"0…1, which looks relative: .*Inverse\(near, far\)"),
     (RandomWater("I", contrast=0.4), None, wall(3.0), NO_WATER),
     (RandomWater("I", contrast=0.1), LIT, wall(0.5), NO_WATER),
     (THICK, None, wall(0.5), NO_WATER),
@@ -456,6 +454,14 @@ def test_says_once_what_is_odd(
     with pytest.warns(UserWarning, match=message):
         aug(picture(), z)
     aug(picture(), z)  # silent: a warning would be an error
+
+
+@pytest.mark.usefixtures("nothing_is_said")
+def test_doubts_the_first_maps_of_a_process() -> None:
+    aug, shares = RandomUnderwater(), torch.linspace(0.01, 1, H * W).reshape(1, H, W)
+    with pytest.warns(UserWarning, match=r"0…1, which looks relative: .*Inverse\(near, far\)"):
+        aug(picture(), shares)
+    aug(picture(), shares)  # silent: a warning would be an error
 
 
 def options(make: Callable[..., Any], *words: str, **given: Any) -> tuple[Callable[[], Any], str]:
