@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from uwaug._support.types import Array
+from uwaug.blur.kernels import HALVING
 from uwaug.fast.gate import inner, kernel
 from uwaug.fast.tables import (
     ENTRY_BITS,
@@ -176,6 +177,8 @@ TILE = 256  # px, width of a tile; others take up to half as long again
 # Pixels of which a tile has a multiple; and lines that go through a coarse grid side by side. (16
 # takes 10 to 80 % longer, 64 takes 20 to 40 %.)
 LANES = 32
+_HALVING_MARGIN = len(HALVING) // 2
+_H0, _H1, _H2 = (f32(weight) for weight in HALVING[:3])
 # of the development's curves, see `uwaug.formation.development`
 GAMUT_FROM, BEYOND, DARK, TOE = f32(0.75), f32(4), f32(1e-8), f32(1e-4)
 _2, _255 = f32(2), f32(255)
@@ -274,19 +277,40 @@ def extend(line: Any, fold: Any, margin: int, width: int, each: int) -> None:
 
 
 @kernel
+def halve(light: Floats, rows: Indices, columns: Indices, half: Floats, start: int, stop: int) -> None:
+    """Make rows `start` to `stop` of the half picture (3xHxW) of a picture's light, whose rows and
+    columns are given from `MARGIN` before the first on.
+    """
+    _, _, width = light.shape
+    line = np.zeros(width + 2 * _HALVING_MARGIN, np.float32)
+    inside = line[_HALVING_MARGIN : _HALVING_MARGIN + width]
+    for c in range(3):
+        for y in range(start, stop):
+            r, plane, d = rows[2 * y + 1 : 2 * y + 7], light[c], half[c, y]
+            k, l, m, n, o, p = plane[r[0]], plane[r[1]], plane[r[2]], plane[r[3]], plane[r[4]], plane[r[5]]
+            for x in range(width):
+                inside[x] = _H0 * (k[x] + p[x]) + _H1 * (l[x] + o[x]) + _H2 * (m[x] + n[x])
+            extend(line, columns, _HALVING_MARGIN, width, 1)
+            s = line[1:]
+            for x in range(d.size):
+                outer, inner = s[2 * x] + s[2 * x + 5], s[2 * x + 1] + s[2 * x + 4]
+                d[x] = _H0 * outer + _H1 * inner + _H2 * (s[2 * x + 2] + s[2 * x + 3])
+
+
+@kernel
 def coarse_lines(
-    light: Floats, grid: Floats, c: CoarseTable, origin: int, start: int, stop: int
+    half: Floats, grid: Floats, c: CoarseTable, origin: int, start: int, stop: int
 ) -> None:
     """Make lines `start` to `stop`, counted from `origin`, of a coarse grid (NxW): shrunk along
     both axes, and enlarged again along rows; `add_enlarged` enlarges them along columns. Line n of
     the whole grid is row n // 3 of channel n % 3.
     """
-    channels, _, width = light.shape
+    channels, _, width = half.shape
     cells, taps = c.across.shape[0], c.down.shape[1]
     # a power of two would share few places of the cache: half as long again at 1024 px
     lines = np.zeros((LANES, width + 24), np.float32)
     flat = np.zeros((width + 2 * c.column_margin) * LANES, np.float32)
-    small = np.zeros(cells * LANES, np.float32)
+    small, wide = np.zeros(cells * LANES, np.float32), np.zeros(grid.shape[1] * LANES, np.float32)
     inside = flat[c.column_margin * LANES : (c.column_margin + width) * LANES]
     for top in range(start, stop, LANES):
         count = min(LANES, stop - top)
@@ -295,12 +319,12 @@ def coarse_lines(
             rows = c.rows[c.down_first[row] : c.down_first[row] + taps]
             line = lines[j, :width]
             line[:] = _0
-            add_rows(line, light[channel], rows, 0, c.down[row])
+            add_rows(line, half[channel], rows, 0, c.down[row])
         to_columns(inside, lines, width)
         extend(flat, c.columns, c.column_margin, width, LANES)
         gather(small, flat, c.across_first, c.across)
-        gather(inside, small, c.back_first, c.back)
-        to_lines(grid, top, count, inside)
+        gather(wide, small, c.back_first, c.back)
+        to_lines(grid, top, count, wide)
 
 
 # ------------------------------------------------------------------------------ lamps

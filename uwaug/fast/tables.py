@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from uwaug._support.cache import Cache
 from uwaug._support.types import Array
 from uwaug.blur.banded import Kind, Node, mirrored, whole
-from uwaug.blur.kernels import blur_kernel
+from uwaug.blur.kernels import HALVING, blur_kernel
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
 from uwaug.light.backscatter import ASYMMETRY, NODE_WEIGHTS, NODES
 from uwaug.light.direction import MAX_RISE, RISE
@@ -28,7 +28,7 @@ Indices = NDArray[np.int64]
 class CoarseTable(NamedTuple):
     """One coarse grid of h cells by w, for pictures of HxW."""
 
-    rows: Indices  # of the picture, mirrored, from as many before the first as cells need
+    rows: Indices  # of the half picture, mirrored, from as many before the first as cells need
     down_first: Indices  # (h) place in `rows` of the first for each cell
     down: Floats  # (h, taps) weights
     columns: Indices  # this and the next three: the same along rows
@@ -56,6 +56,8 @@ class PlanTable(NamedTuple):
     """A plan for pictures of one size."""
 
     stack: StackTable
+    half_rows: Indices  # in the picture, mirrored, from as many before the first as halving needs
+    half_columns: Indices
     coarse: tuple[CoarseTable, ...]
 
 
@@ -169,12 +171,13 @@ def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
         taps=taps,
         pairs=np.array([_pairs(node) for node in narrow], np.int64),
         margin=margin,
-        rows=_mirrored(margin, height),
-        columns=_mirrored(margin, width),
+        rows=_mirrored(margin, 2 * height),
+        columns=_mirrored(margin, 2 * width),
         back_first=np.array([first for _, first, _ in grids], np.int64).reshape(-1, height),
         back=np.array([back for *_, back in grids], np.float32).reshape(-1, height, 4),
     )
-    return PlanTable(stack, tuple(grid for grid, *_ in grids))
+    halving = (_mirrored(len(HALVING) // 2, 2 * side) for side in size)
+    return PlanTable(stack, *halving, tuple(grid for grid, *_ in grids))
 
 
 def _grid(node: Node, size: Size) -> tuple[CoarseTable, Indices, Floats]:
@@ -213,7 +216,7 @@ def _shrinking(node: Node, size: int) -> tuple[Indices, int, Indices, Floats]:
     its places, and the weights.
     """
     first, weights = _rows_of("shrink", node, size)
-    margin = max(0, -int(first.min()), int(first.max()) + weights.shape[1] - size)
+    margin = max(0, -int(first.min()), int(first.max()) + weights.shape[1] - -(-size // 2))
     return _mirrored(margin, size), margin, first + margin, weights
 
 
@@ -221,7 +224,7 @@ def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
     """First column and weights of every row of a matrix, folded at the ends; 4, 8, … weights."""
     matrix = whole(kind, size, node)
     kernels = matrix.kernels
-    if kernels.taps > size and kernels.reflects:
+    if 0 < matrix.turn < 2 * kernels.taps:
         first, dense = matrix.slab(0, matrix.rows)
         dense = np.pad(dense, ((0, 0), (0, -dense.shape[1] % 4)))
         return np.full(matrix.rows, first), dense.astype(np.float32)
@@ -230,9 +233,9 @@ def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
     return kernels.starts(0, matrix.rows), weights.astype(np.float32)
 
 
-def _mirrored(margin: int, size: int) -> Indices:
-    """Places on an axis, half-sample symmetric, from `margin` before its start on."""
-    return mirrored(np.arange(-margin, size + margin), size)
+def _mirrored(margin: int, turn: int) -> Indices:
+    """Places on an axis, see `mirrored`, from `margin` before its start to as many after its end."""
+    return mirrored(np.arange(-margin, (turn + 1) // 2 + margin), turn)
 
 
 # ------------------------------------------------------------------------------ media
