@@ -183,7 +183,7 @@ def test_products_and_adjoints_are_those_of_the_whole_matrix(cell) -> None:
     node = Node(1.4 if cell == 1 else 1.3 * cell, cell, 3.0)
     where = torch.float64, torch.device("cpu")
     for size, axis in itertools.product((1, 7, 16, 33, 130), (0, 1)):
-        for kind in ("blur",) if cell == 1 else ("shrink", "enlarge"):
+        for kind in ("blur",) if cell == 1 else ("halve", "shrink", "enlarge"):
             matrix = operator(kind, axis, size, node, *where)
             transpose = operator(kind, axis, size, node, *where, adjoint=True)
             columns = transpose.rows
@@ -203,7 +203,7 @@ def test_operators_are_made_once_and_take_no_more_than_their_budget() -> None:
     for size in range(100, 1100, 7):
         for cell in (1.0, 16 / 5, 16.0):
             node = Node(1.3 * cell, cell, 3.0)
-            for kind in ("blur",) if cell == 1 else ("shrink", "enlarge"):
+            for kind in ("blur",) if cell == 1 else ("halve", "shrink", "enlarge"):
                 arguments = (kind, 1, size, node, torch.float64, torch.device("cpu"))
                 assert operator(*arguments) is operator(*arguments)
                 most = max(most, operators.held)

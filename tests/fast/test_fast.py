@@ -230,6 +230,16 @@ class OwnWidth(Medium):
         return 2 * super().width(z)
 
 
+class OwnLamp(Lamp):
+    def sent(self, rays: Any, z: Tensor) -> Any:
+        return super().sent(rays, 2 * z)
+
+
+class OwnView(View):
+    def focal(self, width: int) -> float:
+        return 2 * super().focal(width)
+
+
 IMAGE, Z, WATER = rand(1, 3, 20, 30).float(), stepped(1, 1, 20, 30).float(), coefficients()
 LEARNED = WATER.map(lambda t: t.clone().requires_grad_())
 LEARNED_LAW = replace(WATER, scale=torch.ones(1, dtype=torch.float64, requires_grad=True))
@@ -247,6 +257,8 @@ LEARNED_LAW = replace(WATER, scale=torch.ones(1, dtype=torch.float64, requires_g
         {"z": Z.double()},
         {"image": IMAGE.to("meta")},
         {"light": object()},
+        {"light": Light((Lamp(), OwnLamp((0.5, 0.0, 0.0))))},
+        {"view": OwnView(75.0)},
         {"development": Development(exposure=torch.tensor(0.5, requires_grad=True))},
     ],
     ids=lambda change: next(iter(change)),

@@ -12,8 +12,8 @@ from uwaug._support.types import Array
 
 PERIOD = 16  # of grids, px: their cells divide it evenly, or are whole multiples of it
 MARGIN = 2  # cells of a grid beyond either edge, which a cubic spline needs
-# The picture at half of its size, which all coarser grids read: a row of Pascal's triangle lets less
-# through than a Gaussian of what would show as coarser waves.
+# Of the picture at half of its size, which coarser grids read: a row of Pascal's triangle lets less
+# through than a Gaussian of what would alias.
 HALVING = np.array([1, 5, 10, 10, 5, 1]) / 32
 _HALVING_VARIANCE = 5 / 4  # px²
 _POLE = math.sqrt(3.0) - 2.0  # of the filter that makes cubic B-spline coefficients of samples

@@ -110,9 +110,7 @@ def _node_blur(
 
 
 @_node_blur.register_fake
-def _(
-    x: Tensor, h: int, w: int, sigma: float, cell: float, reach: float, adjoint: bool
-) -> Tensor:
+def _(x: Tensor, h: int, w: int, sigma: float, cell: float, reach: float, adjoint: bool) -> Tensor:
     # one that halves ends on the half picture, one on a coarser grid begins there
     if cell != 1 and (sigma == 0) != adjoint:
         h, w = (h + 1) // 2, (w + 1) // 2

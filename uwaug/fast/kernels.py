@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from uwaug._support.types import Array
-from uwaug.blur.kernels import HALVING
 from uwaug.fast.gate import inner, kernel
 from uwaug.fast.tables import (
     ENTRY_BITS,
@@ -64,21 +63,10 @@ _D0, _D1, _D2, _D3, _D4, _D5, _D6, _D7, _D8, _D9, _D10, _D11 = _constants(
     " -0.000353941054 0.000425769365 -5.84588051e-05 -0.000261950219 -5.44070936e-05"
     " 0.000142998673"
 )
-# y^(1/2.4) for y from √½ to √2 as v = −1…1
-_P0, _P1, _P2, _P3, _P4, _P5, _P6, _P7 = _constants(
-    "1.02484167 0.142339051 -0.0138392113 0.00243530166 -0.000520724338 0.000123142119"
-    " -3.71033384e-05 1.05816562e-05"
-)
-# 1.055·2^(n/2.4) for n = −8, …, 0 as u = −1…1
-_G0, _G1, _G2, _G3, _G4, _G5, _G6, _G7 = _constants(
-    "0.33230409 0.383892804 0.221749201 0.0853907168 0.0246360358 0.00569438841 0.00114529859"
-    " 0.00018745441"
-)
 _SRGB_KNEE, _LINEAR_KNEE = f32(0.0404482362771076), f32(0.0404482362771076 / 12.92)  # see colour
 _SLOPE, _UNSLOPE, _SCALE, _SHIFT = f32(12.92), f32(1 / 12.92), f32(1 / 1.055), f32(0.055)
 _GAMMA, _UNGAMMA, _MAX_VALUE = f32(2.4), f32(1 / 2.4), f32(1e30)
 _D_SCALE, _D_SHIFT = f32(2 / (1 - 0.0404482362771076)), f32(1.0404482362771076 / 0.9595517637228924)
-_P_SCALE, _P_SHIFT = f32(8**0.5), f32(3)
 
 
 @inner
@@ -143,19 +131,6 @@ def decode(x: Any) -> Any:
 
 
 @inner
-def encode_unit(x: Any) -> Any:
-    """Encode linear light as sRGB, clipped to 0…1. (2.5 times as fast as by `log2`.)"""
-    a = max(x, _0)
-    e, m = _split(min(max(a, _LINEAR_KNEE), _1))
-    v, u = m * _P_SCALE - _P_SHIFT, f32(e) * f32(0.25) + _1
-    p = _P4 + v * (_P5 + v * (_P6 + v * _P7))
-    p = _P0 + v * (_P1 + v * (_P2 + v * (_P3 + v * p)))
-    g = _G4 + u * (_G5 + u * (_G6 + u * _G7))
-    g = _G0 + u * (_G1 + u * (_G2 + u * (_G3 + u * g)))
-    return a * _SLOPE if a < _LINEAR_KNEE else min(p * g - _SHIFT, _1)
-
-
-@inner
 def encode(x: Any) -> Any:
     """Encode any linear light."""
     a = abs(x)
@@ -177,8 +152,7 @@ TILE = 256  # px, width of a tile; others take up to half as long again
 # Pixels of which a tile has a multiple; and lines that go through a coarse grid side by side. (16
 # takes 10 to 80 % longer, 64 takes 20 to 40 %.)
 LANES = 32
-_HALVING_MARGIN = len(HALVING) // 2
-_H0, _H1, _H2 = (f32(weight) for weight in HALVING[:3])
+_HALVING = (f32(1 / 32), f32(5 / 32), f32(10 / 32))  # see `uwaug.blur.kernels.HALVING`
 # of the development's curves, see `uwaug.formation.development`
 GAMUT_FROM, BEYOND, DARK, TOE = f32(0.75), f32(4), f32(1e-8), f32(1e-4)
 _2, _255 = f32(2), f32(255)
@@ -277,24 +251,32 @@ def extend(line: Any, fold: Any, margin: int, width: int, each: int) -> None:
 
 
 @kernel
-def halve(light: Floats, rows: Indices, columns: Indices, half: Floats, start: int, stop: int) -> None:
-    """Make rows `start` to `stop` of the half picture (3xHxW) of a picture's light, whose rows and
-    columns are given from `MARGIN` before the first on.
+def halve(
+    light: Floats, rows: Indices, columns: Indices, half: Floats, start: int, stop: int
+) -> None:
+    """Make rows `start` to `stop` of the half picture of a picture (3xHxW), whose mirrored `rows`
+    and `columns` begin three before the first.
     """
     _, _, width = light.shape
-    line = np.zeros(width + 2 * _HALVING_MARGIN, np.float32)
-    inside = line[_HALVING_MARGIN : _HALVING_MARGIN + width]
+    line = np.zeros(width + 6, np.float32)
+    inside, s = line[3 : 3 + width], line[1:]
     for c in range(3):
+        plane = light[c]
         for y in range(start, stop):
-            r, plane, d = rows[2 * y + 1 : 2 * y + 7], light[c], half[c, y]
-            k, l, m, n, o, p = plane[r[0]], plane[r[1]], plane[r[2]], plane[r[3]], plane[r[4]], plane[r[5]]
-            for x in range(width):
-                inside[x] = _H0 * (k[x] + p[x]) + _H1 * (l[x] + o[x]) + _H2 * (m[x] + n[x])
-            extend(line, columns, _HALVING_MARGIN, width, 1)
-            s = line[1:]
+            inside[:] = _0
+            for i in range(3):
+                above, below, w = (
+                    plane[rows[2 * y + 1 + i]],
+                    plane[rows[2 * y + 6 - i]],
+                    _HALVING[i],
+                )
+                for x in range(width):
+                    inside[x] += w * (above[x] + below[x])
+            extend(line, columns, 3, width, 1)
+            d, (w0, w1, w2) = half[c, y], _HALVING
             for x in range(d.size):
                 outer, inner = s[2 * x] + s[2 * x + 5], s[2 * x + 1] + s[2 * x + 4]
-                d[x] = _H0 * outer + _H1 * inner + _H2 * (s[2 * x + 2] + s[2 * x + 3])
+                d[x] = w0 * outer + w1 * inner + w2 * (s[2 * x + 2] + s[2 * x + 3])
 
 
 @kernel
@@ -618,8 +600,8 @@ def find_entries(t: Any, z: int, fraction: int, entries: Any, table: Any, n: int
     distances, s, first = tile_row(t, z), tile_row(t, fraction), i32(table.first)
     last = i32(first + ((table.rows.shape[1] - 1) << ENTRY_BITS) - 1)
     for x in range(n):
-        bits = min(max(f32(distances[x]).view(i32), first), last)
-        entries[x] = i32(i32(bits - first) >> ENTRY_BITS)
+        bits = i32(min(max(f32(distances[x]).view(i32), first), last) - first)
+        entries[x] = i32(bits >> ENTRY_BITS)
         s[x] = f32(i32(bits & _FRACTION_BITS)) * _FRACTION_UNIT
 
 
@@ -790,8 +772,8 @@ def _add_noise(
 
 @inner
 def _develop(t: Any, total: int, table: Any, n: int) -> None:
-    """Gain, gamut and tone of the light in three rows, see `uwaug.formation.development`."""
-    share, contrast, offset, m = table.gamut, table.tone, table.tone_offset, table.gain
+    """Gain and gamut of the light in three rows, see `uwaug.formation.development`."""
+    share, m = table.gamut, table.gain
     d = tile_rows(t, total, 3)
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     for x in range(n):
@@ -806,16 +788,26 @@ def _develop(t: Any, total: int, table: Any, n: int) -> None:
             green += less * _compression(_1 - green * inverse)
             blue += less * _compression(_1 - blue * inverse)
         d[x], d[x + TILE], d[x + 2 * TILE] = red, green, blue
-    if contrast != _1:
-        slope = contrast * offset / (_1 + offset)
-        for c in range(3):
-            light = tile_row(d, c)
-            for x in range(n):
-                size = max(abs(light[x]), TOE)
-                inside = min(size, _1)
-                power = exp2(contrast * log2(inside))
-                curve = (_1 + offset) * power / (power + offset) + slope * (size - inside)
-                light[x] *= curve / size
+
+
+@inner
+def _toned(light: Any, table: Any) -> Any:
+    """Light along the curve of the tone."""
+    if table.tone == _1:
+        return light
+    contrast, offset = table.tone, table.tone_offset
+    size = max(abs(light), TOE)
+    inside = min(size, _1)
+    power = exp2(contrast * log2(inside))
+    curve = (_1 + offset) * power / (power + offset)
+    return light * ((curve + contrast * offset / (_1 + offset) * (size - inside)) / size)
+
+
+@kernel
+def tabulate(light: Floats, table: DevelopmentTable, shown: Floats) -> None:
+    """Fill `shown` with sRGB values of light after the tone."""
+    for x in range(light.size):
+        shown[x] = encode(_toned(light[x], table))
 
 
 @inner
@@ -826,15 +818,28 @@ def _compression(distance: Any) -> Any:
 
 
 @inner
-def _store(total: Any, srgb: bool, highest: Any, out: Any, out_bytes: Any, n: int) -> None:
-    """Encode the light of a tile, and write it to the one of two outputs that has room."""
-    if srgb and highest > _1:
+def _show(t: Any, row: int, fraction: int, entries: Any, table: Any, highest: Any, n: int) -> None:
+    """Tone and encoding of a row of light: by their table, which light above 1 has not."""
+    d, s, shown = tile_row(t, row), tile_row(t, fraction), table.shown.rows[0]
+    if shown.size > 0:
+        # the curve is straight before the table
+        inverse = _1 / i32(table.shown.first).view(f32)
+        find_entries(t, row, fraction, entries, table.shown, n)
         for x in range(n):
-            value = total[x]
-            total[x] = encode_unit(value) if value <= _1 else min(encode(value), highest)
-    elif srgb:
+            below = min(max(d[x] * inverse, _0), _1)
+            value = below * interpolated(shown, entries[x], s[x])
+            d[x] = value if d[x] < _1 else _1
+        return
+    for x in range(n):
+        d[x] = _toned(d[x], table)
+    if highest > _0:
         for x in range(n):
-            total[x] = encode_unit(total[x])
+            d[x] = min(max(encode(d[x]), _0), highest)
+
+
+@inner
+def _store(total: Any, out: Any, out_bytes: Any) -> None:
+    """Write a tile to the one of two outputs that has room."""
     copy(out, total[: out.size])
     for x in range(out_bytes.size):
         out_bytes[x] = np.uint8(nearest(min(max(total[x] * _255, _0), _255)))
@@ -881,7 +886,6 @@ def render_rows(
     normals: Floats,
     begins: Indices,
     development: DevelopmentTable,
-    srgb: bool,
     highest: Any,
     out: Floats,
     out_bytes: Bytes,
@@ -897,7 +901,7 @@ def render_rows(
         grid (NxW), starts (m): lines of all coarse grids; the index at which those of each would
             start if they were whole.
         normals (N or 0), begins (3xH): of the sensor's noise; index of the first for each row.
-        srgb, highest: True to encode; the largest value then.
+        highest: largest sRGB value; 0 for linear light.
         out, out_bytes (3xHxW): one takes the result; the other is 3x1x0.
     """
     _, _, width = light.shape
@@ -959,6 +963,7 @@ def render_rows(
                 _add_noise(t, totals, left, normals, begins[:, y], development, n)
             _develop(t, totals, development, n)
             for c in range(3):
+                _show(t, totals + c, fractions, entries, development, highest, n)
                 floats = out[c, y % out.shape[1], left:right]
                 whole = out_bytes[c, y % out_bytes.shape[1], left:right]
-                _store(tile_row(t, totals + c), srgb, highest, floats, whole, n)
+                _store(tile_row(t, totals + c), floats, whole)

@@ -19,6 +19,7 @@ from uwaug._support.types import Array
 from uwaug.blur.plan import BlurPlan
 from uwaug.fast import kernels
 from uwaug.fast.tables import (
+    NOTHING,
     DevelopmentTable,
     Floats,
     Indices,
@@ -31,6 +32,7 @@ from uwaug.fast.tables import (
     places_table,
     plan_table,
     rays_tables,
+    tabulated,
     terms_table,
 )
 from uwaug.formation.colour import headroom
@@ -38,6 +40,7 @@ from uwaug.formation.demand import blurred_between, demand_of
 from uwaug.formation.development import (
     BURNT,
     METERED,
+    TOE,
     Development,
     gain_at,
     metering_points,
@@ -100,10 +103,10 @@ def form(
         plan = demand_of(brightest.seen_by(gains), law, ends, tolerance).plan(size, shared=True)
     blurs = plan_table(plan, size)
     widths = [places_table(weights.row(n), plan, ends) for n in range(len(medium))]
-    normals, begins, developments = _camera(development, gains, batch, size)
-    highest = np.ones(batch, np.float32)
-    if srgb and high > 1:
+    highest = np.full(batch, srgb, np.float32)
+    if high > 1:
         highest *= torch.as_tensor(headroom(image)).float().flatten().numpy()
+    normals, begins, developments = _camera(development, gains, batch, size, srgb and high <= 1)
     layers = _snow(setting, z, z if metres is None else metres, batch)
     kind = torch.uint8 if image.dtype == torch.uint8 else torch.float32
     result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
@@ -118,7 +121,7 @@ def form(
                 grid, starts = _coarse_grids(halves[n], blurs, size[1], lines)
             inputs: Any = (
                 *(scene.light, scene.z, scene.metres, layer, scene.water, scene.rays),
-                *(width, blurs.stack, grid, starts, normals, begin, table, srgb, most),
+                *(width, blurs.stack, grid, starts, normals, begin, table, most),
                 *((_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)),
             )
             _in_bands(partial(kernels.render_rows, *inputs), lines, size[1])
@@ -200,7 +203,7 @@ def _points(height: int, width: int) -> NDArray[np.uint32]:
 
 
 def _camera(
-    development: Development, gains: Array, batch: int, size: tuple[int, int]
+    development: Development, gains: Array, batch: int, size: tuple[int, int], is_shown: bool
 ) -> tuple[Floats, Indices, list[DevelopmentTable]]:
     """The sensor's normals, the first for each row of each channel (Bx3xH), and tables."""
     sensor, normals, begins = development.noise, _NO_FLOATS[0, 0], np.zeros((batch, 3, 0), np.int64)
@@ -211,8 +214,17 @@ def _camera(
     shape = development.gamut, development.tone, tone_offset(float(development.tone))
     dark, photons, gamut, tone, offset = np.array([*variance, *shape], np.float32)
     flat = gains.reshape(-1, 9).astype(np.float32)
-    tables = [DevelopmentTable(dark, photons, gain, gamut, tone, offset) for gain in flat]
-    return normals, begins, tables
+    table = DevelopmentTable(dark, photons, flat[0], gamut, tone, offset, NOTHING)
+    if is_shown:
+        table = table._replace(shown=tabulated(partial(_shown, table), (TOE, 1.0)))
+    return normals, begins, [table._replace(gain=gain) for gain in flat]
+
+
+def _shown(table: DevelopmentTable, light: Array) -> Array:
+    """Values in sRGB of light after the tone."""
+    shown = np.empty(len(light), np.float32)
+    kernels.tabulate(light.astype(np.float32), table, shown)
+    return shown.astype(np.float64)
 
 
 def _decoded(image: Tensor, srgb: bool, beyond: bool) -> Tensor:
