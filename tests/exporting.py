@@ -1,5 +1,6 @@
 """What the tests of uwaug.onnx share, in a module that a spawned worker can import by name."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ def in_water(module: Underwater, medium: Medium, image: Tensor, distance: Tensor
     return form(
         image.double(),
         distance.double(),
-        module.setting(medium.to(torch.float64)),
+        replace(module.setting, medium=medium.to(torch.float64)),
         plan=plan_of(module),
     )
 
@@ -57,11 +58,6 @@ def without_graph(path: Path, module: Underwater, **metadata: str | None) -> Pat
             model.metadata_props.add(key=key, value=text)
     onnx.save(model, path)
     return path
-
-
-def stored_tensors(model: Any) -> list[Any]:
-    """What an ONNX model holds."""
-    return list(model.graph.initializer)
 
 
 class Pictures(Dataset):

@@ -51,9 +51,3 @@ def content(folder: str | Path) -> dict[str, bytes]:
         if path.is_file() and path.name != MANIFEST:
             found[path.relative_to(folder).as_posix()] = path.read_bytes()
     return found
-
-
-def save_pair(name: str) -> None:
-    """A picture, and its distances in z.npy."""
-    save(name, pixels())
-    save("z.npy", metres())

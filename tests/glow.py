@@ -78,7 +78,7 @@ def test_in_pictures(way: str, water: str) -> None:
 def test_the_loops_form_it_too() -> None:
     medium = glowing(WATERS["spectral"])
     degrade = Underwater(medium, None, development=Development("auto", saturation=1.2))
-    assert fast.can(IMAGE, DISTANCE, degrade.setting(medium))
+    assert fast.can(IMAGE, DISTANCE, replace(degrade.setting, medium=medium))
     exact = degrade(IMAGE.double(), DISTANCE.double())
     torch.testing.assert_close(degrade(IMAGE, DISTANCE).double(), exact, rtol=0, atol=1e-5)
 
@@ -87,13 +87,6 @@ def test_the_meter_sees_it() -> None:
     J, z = IMAGE.double(), DISTANCE.double()
     gains = [float(Development("auto").gain(J, z, m)) for m in (CLEAR, glowing(CLEAR))]
     assert gains[1] < 0.7 * gains[0]
-    # the mean luminance of the scene is kept, so that no picture is blown out
-    clear, glowy = (
-        Underwater(medium, None, development=Development("auto"))(IMAGE, DISTANCE)
-        for medium in (CLEAR, glowing(CLEAR))
-    )
-    assert (glowy - clear).abs().max() > 0.05
-    assert (glowy - clear).mean().abs() < 0.1
 
 
 @pytest.mark.parametrize("water", WATERS)
@@ -161,18 +154,12 @@ def test_where_a_medium_is_learned() -> None:
     assert all(p.grad.isfinite().all() for p in other.parameters())
 
 
-def test_in_fits() -> None:
+def test_fits_know_none_and_take_it_for_veil() -> None:
     G, veil = (0.5, 0.3, 0.2), (0.1, 0.3, 0.4)
-    water = Medium.from_coefficients(G, G, veil)
-
-    def off(medium: Medium) -> float:
-        observed = Underwater(medium, None)(IMAGE, DISTANCE)
-        fit = uwaug.fit(IMAGE, observed, DISTANCE, model="veil", gain="fixed", progress=False)
-        assert not fit.medium.glow.any()
-        return float((fit.medium.veil_weights.sum(-1) - torch.tensor(veil)).abs().max())
-
-    # what is fitted knows no glow, and takes it for veil
-    assert off(water) < 1e-3 < 0.02 < off(glowing(water))
+    observed = Underwater(glowing(Medium.from_coefficients(G, G, veil)), None)(IMAGE, DISTANCE)
+    fit = uwaug.fit(IMAGE, observed, DISTANCE, model="veil", gain="fixed", progress=False)
+    assert not fit.medium.glow.any()
+    assert (fit.medium.veil_weights.sum(-1) - torch.tensor(veil)).abs().max() > 0.02
 
 
 def test_in_files_whose_coefficients_are_inputs(tmp_path: Path) -> None:

@@ -70,15 +70,6 @@ class Law:
             transfer += share * np.exp(-fall)
         return _error(truth, self.g, transfer)
 
-    def encircled(self, lengths: float, tangent: Array) -> Array:
-        """Share of the scattered light within a tangent."""
-        total = np.zeros_like(tangent)
-        for share, scale, exponent in self.widths:
-            r = tangent / (scale * lengths**exponent)
-            beyond = 1 / np.hypot(r, 1) if self.shape == "exponential" else np.exp(-0.5 * r * r)
-            total += share * (1 - beyond)
-        return total
-
 
 def _error(truth: Spread, g: float, transfer: Array) -> float:
     forward = np.exp(-(truth.absorption + g) * truth.lengths) - truth.direct

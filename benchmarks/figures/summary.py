@@ -1,4 +1,4 @@
-"""The tables of benchmarks/README.md and CHOICES.md, from results/*.json, between their markers:
+"""The tables of benchmarks/README.md, from results/*.json, between their markers:
 `python -m benchmarks.figures.summary`.
 """
 
@@ -10,19 +10,7 @@ from typing import Any
 from benchmarks.harness import RESULTS, ROOT, command
 from uwaug._support.atomic import written_whole
 
-PAGES = {
-    ROOT / "benchmarks" / "README.md": (
-        "accuracy",
-        "surfaces",
-        "fits",
-        "speed",
-        "training",
-        "detector",
-        "restore",
-    ),
-    ROOT / "benchmarks" / "CHOICES.md": ("chart",),
-}
-"""Each page, and what stands in it."""
+PAGE = ROOT / "benchmarks" / "README.md"
 
 TRUTHS = {
     "Petzold's, in their waters": "Petzold",
@@ -36,10 +24,8 @@ TRUTHS = {
 CHANGED = (
     "defaults",
     "Jerlov types alone",
-    "contrast .07–.4",
     "no lamps",
     "grey surfaces",
-    "white_balance −.8….8",
 )
 """The draws that stand beside photographs."""
 
@@ -54,8 +40,8 @@ def load(name: str) -> Results:
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+    first, *lines = ("| " + " | ".join(cells) + " |" for cells in (head, *rows))
+    return "\n".join([first, "|---" * len(head) + "|", *lines])
 
 
 def accuracy() -> str:
@@ -69,9 +55,6 @@ def accuracy() -> str:
     low, high = min(row["blurs"] for row in default), max(row["blurs"] for row in default)
     psnr = min(row["psnr_db"] for row in default)
     error = max(row["error"] for row in model["curves"])
-    ours = load("stability")["counts"]["uwaug"]
-    right = min(ours["value"]["right"], ours["gradient"]["right"])
-    conditions = sum(ours["value"].values())
     paragraphs = [
         f"By `python -m benchmarks` ({on}).",
         f"**Blur**, by {low} to {high} blurs, is within {psnr:.0f} dB of each pixel's own Gaussian "
@@ -82,13 +65,11 @@ def accuracy() -> str:
         "Monte Carlo transport over 0.1 to 5 scattering lengths, and in six Monte Carlo pictures:",
         _transport_table(load("physics")),
         "**Real photographs** (`draws`): 342 of seven sets, beside "
-        f"{draws['draws']} draws of each of 40 pictures in air. Recall: photographs within the "
-        "range of draws. Coverage: photographs with a draw near. Precision: draws within the range "
-        "of photographs. Each by 26 numbers of a picture / by the 12 that water decides. Neon: "
-        "half of the pixels have a saturation above .9; 6 % of the photographs are so.",
+        f"{draws['draws']} draws of each of 40 pictures in air, by 26 numbers of a picture / by "
+        "the 12 that water decides. Recall: photographs within the range of draws. Coverage: with "
+        "a draw near. Precision: draws within the range of photographs. Neon: half of the pixels "
+        "have a saturation above .9, as in 6 % of the photographs.",
         _photograph_table(draws["photographs"]),
-        f"**Stability**: value and gradient are right in {right} of {conditions} hard conditions.",
-        "![Methods against hard conditions: value and gradient of each](figures/stability.svg)",
     ]
     return "\n\n".join(paragraphs)
 
@@ -144,32 +125,53 @@ def surfaces() -> str:
 
 def chart() -> str:
     """Where the defaults stand among all that we know, and how time grows."""
-    verdicts = {}
+    verdicts: dict[str, dict[str, Results]] = {}
     for panel in load("frontier")["panels"].values():
-        verdicts[panel["part"], panel["size"], panel["threads"]] = panel["verdict"]
-    near = sum(verdict["within_10_percent"] for verdict in verdicts.values())
+        setting = f"{panel['size']}²" + ", 2 threads" * (panel["threads"] == 2)
+        verdicts.setdefault(panel["part"], {})[setting] = panel["verdict"]
+    every = [verdict for row in verdicts.values() for verdict in row.values()]
+    near = sum(verdict["within_10_percent"] for verdict in every)
+    settings = list(next(iter(verdicts.values())))
+    rows = []
+    for part, row in verdicts.items():
+        rivals = {verdict["beaten_by"]: None for verdict in row.values() if verdict["beaten_by"]}
+        psnr = f"{row['512²']['psnr_db']:.0f} dB"
+        rows.append([part, psnr, *(_behind(row.get(x)) for x in settings), ", ".join(rivals)])
     paragraphs = [
         "`python -m benchmarks frontier` tries every way that we know to compute each part: error "
-        "of the final image against time, 512², one thread. The default is red:",
+        "of the final image against time. The default, in PyTorch, is red:",
         "![PSNR against time for blur, spectra, number formats and runtimes](figures/frontier.png)",
-        f"It is on the Pareto front or within 10 % of it in {near} of {len(verdicts)} panels. PSNR "
-        "of the default without the loops, and the fastest method that is as accurate:",
-        _verdict_table(verdicts),
+        f"It is on the Pareto front or within 10 % of it in {near} of {len(every)} panels (seven "
+        "are drawn): how much slower it is than the fastest method that is as accurate:",
+        table(["part", "PSNR, 512²", *settings, "which is"], rows),
     ]
     return "\n\n".join(paragraphs)
 
 
-def _verdict_table(verdicts: dict[tuple[str, int, int], Results]) -> str:
-    parts = dict.fromkeys(part for part, *_ in verdicts)
-    rows = [[part, _stands(verdicts[part, 512, 1])] for part in parts]
-    return table(["512², 1 thread", ""], rows)
+def _behind(verdict: Results | None) -> str:
+    if verdict is None:
+        return "–"
+    return "front" if verdict["on_front"] else f"{100 * verdict['slower_than_front']:.0f} %"
 
 
-def _stands(verdict: Results) -> str:
-    psnr = f"{verdict['psnr_db']:.0f} dB"
-    if verdict["on_front"]:
-        return psnr
-    return f"{psnr}, {100 * verdict['slower_than_front']:.0f} % behind {verdict['beaten_by']}"
+def stability() -> str:
+    """In how many hard conditions each method is right."""
+    counts = load("stability")["counts"]
+    conditions = sum(counts["uwaug"]["value"].values())
+    rows = []
+    for method, of in reversed(counts.items()):
+        cells = []
+        for what in ("value", "gradient"):
+            judged = conditions - of[what].get("none", 0)
+            cells.append(f"{of[what].get('right', 0)} of {judged}" if judged else "–")
+        rows.append([method, *cells])
+    paragraphs = [
+        f"`python -m benchmarks stability` judges methods in {conditions} hard conditions, from "
+        "z = 0 and z = +∞ to NaN and float16; in how many of those that apply is each right?",
+        table(["method", "value", "gradient"], rows),
+        "![Methods against hard conditions: value and gradient of each](figures/stability.svg)",
+    ]
+    return "\n\n".join(paragraphs)
 
 
 def speed() -> str:
@@ -195,6 +197,8 @@ def speed() -> str:
 def _single(sizes: list[Results]) -> str:
     rows = []
     for name in sizes[0]["ms"]:
+        if name.endswith("uint8"):  # as fast
+            continue
         cells = []
         for size in sizes:
             ms, recipe = (size["ms"][key]["median_ms"] for key in (name, RECIPE))
@@ -241,10 +245,8 @@ def _files(found: dict[str, Any]) -> str:
         told = 100 * row["numbers"] / sum(states.values())
         held, shown = f"{row['covered_percent']:.0f} % from {name}", f"{told:.0f} % of the numbers"
         cells.append(f"{held} ({row['runs']} pairs; {shown} are identified)")
-    return (
-        "Of smaller pictures (125×185, .5 % noise, the right model), both from files, intervals "
-        f"hold the truth in {', '.join(cells)}."
-    )
+    setting = "125×185, .5 % noise, the right model, both from files"
+    return f"Of smaller pictures ({setting}): {', '.join(cells)}."
 
 
 def training() -> str:
@@ -293,12 +295,11 @@ def _readers(found: Results) -> str:
     columns = {f"film ({found['tags']['all']} tags)": tables["all"]}
     columns["by stretched green"] = tables["green"]
     nets = max(len(row["nets"]) for row in tables["all"].values())
-    air = {arm: f"{sum(of) / len(of):.2f}" for arm, of in found["air"].items()}
     return (
         f"**Nets that read markers**: {nets} an arm, {found['steps']} steps of 64 crops of boards "
         f"in {found['scenes']} pictures. Shares of the film's tags that are read, one of 30 "
         "each; nets are told where a tag is, OpenCV finds it:\n\n"
-        + _gains("trained on", columns, ("blocks",), {"boards in air": air})
+        + _gains("trained on", columns, ("blocks",))
     )
 
 
@@ -306,16 +307,11 @@ def restore() -> str:
     """What nets give back."""
     found = load("restore")
     columns = {title: rows for title, rows in found["tables"].items() if title.count(",") == 1}
-    parts = {
-        title: {arm: f"{row['score']:.{_digits(row)}f}" for arm, row in rows.items()}
-        for title, rows in found["tables"].items()
-        if title.count(",") == 2
-    }
     nets = max(len(row["nets"]) for row in next(iter(columns.values())).values())
     return (
         f"{nets} nets an arm, {found['steps']} steps, {found['pairs']} pairs. In brackets what it "
         "has more than the defaults, bold where its interval of 95 % over blocks and nets leaves "
-        "out 0:\n\n" + _gains("restored by", columns, ("blocks",), parts)
+        "out 0:\n\n" + _gains("restored by", columns, ("blocks",))
     )
 
 
@@ -324,21 +320,15 @@ def _digits(row: Results) -> int:
     return 2 if row["score"] < 2 else 1
 
 
-def _gains(
-    title: str,
-    columns: Results,
-    intervals: Sequence[str] = ("blocks", "films"),
-    others: dict[str, dict[str, str]] | None = None,
-) -> str:
-    """Arms by columns, and further columns of text."""
-    others = others or {}
+def _gains(title: str, columns: Results, intervals: Sequence[str] = ("blocks", "films")) -> str:
+    """Arms by columns."""
     rows = []
     for arm in next(iter(columns.values())):
         if arm.endswith("=None"):  # single changes, all of them level
             continue
         cells = [_gain(scores[arm], intervals) for scores in columns.values()]
-        rows.append([arm, *cells, *(texts.get(arm, "–") for texts in others.values())])
-    return table([title, *columns, *others], rows)
+        rows.append([arm, *cells])
+    return table([title, *columns], rows)
 
 
 def _gain(row: Results, intervals: Sequence[str]) -> str:
@@ -351,10 +341,11 @@ def _gain(row: Results, intervals: Sequence[str]) -> str:
 
 
 SECTIONS: dict[str, Callable[[], str]] = {
+    "chart": chart,
+    "stability": stability,
     "accuracy": accuracy,
     "surfaces": surfaces,
     "fits": fits,
-    "chart": chart,
     "speed": speed,
     "training": training,
     "detector": detector,
@@ -363,12 +354,12 @@ SECTIONS: dict[str, Callable[[], str]] = {
 """What belongs between the markers of each name."""
 
 
-def updated(text: str, names: Sequence[str]) -> str:
-    """A page with the figures of the results."""
-    for name in names:
+def updated(text: str) -> str:
+    """The page with the figures of the results."""
+    for name, section in SECTIONS.items():
         pattern = rf"(<!-- figures: {name} -->\n).*?(<!-- /figures: {name} -->)"
 
-        def filled(markers: re.Match[str], body: str = SECTIONS[name]()) -> str:
+        def filled(markers: re.Match[str], body: str = section()) -> str:
             return f"{markers[1]}{body}\n{markers[2]}"
 
         text, count = re.subn(pattern, filled, text, flags=re.DOTALL)
@@ -380,11 +371,10 @@ def updated(text: str, names: Sequence[str]) -> str:
 
 def main(quick: bool = False) -> None:
     """Write the tables; if quick, only make them."""
-    for page, names in PAGES.items():
-        text = updated(page.read_text(), names)
-        if not quick:
-            with written_whole(page) as part:
-                part.write_text(text)
+    text = updated(PAGE.read_text())
+    if not quick:
+        with written_whole(PAGE) as part:
+            part.write_text(text)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ VALUES = {
     "contents": Constituents(chlorophyll=(1, 5), cdom=0.3),
     "water": Water.jerlov("5C").with_contrast(0.2, 3),
     "camera": load_camera("Sigma SDMerill (NPL)"),
-    "camera with a matrix": Camera([400, 700], [[0, 1, 1], [1, 1, 0]], "own", np.eye(3) + 0.1),
+    "camera with a matrix": Camera([400, 700], [[0, 1, 1], [1, 1, 0]], "on", np.eye(3) + 0.1),
     "all at once": ("a", (1, 2.5, None, True), PointSpread(2.0)),
 }
 
@@ -72,29 +72,20 @@ def test_what_cannot_be_written(value: Any) -> None:
 @pytest.mark.parametrize(
     "data, expected, message",
     [
-        ({"kind": "Sea"}, CLASSES, "kind must be .*PointSpread.*, got 'Sea'"),
-        ({"kind": "Development"}, (PointSpread,), "kind must be PointSpread, got 'Development'"),
-        ({"kind": "pointspread"}, (PointSpread,), "got 'pointspread': did you mean PointSpread"),
-        (
-            {"kind": "PointSpread", "width": 2},
-            (PointSpread,),
-            "PointSpread has no 'width', only sc",
-        ),
-        ({"scale": 1, "sahpe": "gaussian"}, (PointSpread,), "'sahpe', .*: did you mean shape?"),
-        ({"kind": "PointSpread", "shape": "gaussian"}, CLASSES, "PointSpread: .*missing.*'scale'"),
+        ({"kind": "Sea"}, CLASSES, "PointSpread.*, got 'Sea'"),
+        ({"kind": "Development"}, (PointSpread,), "got 'Development'"),
+        ({"kind": "pointspread"}, (PointSpread,), "did you mean PointSpread"),
+        ({"kind": "PointSpread", "width": 2}, (PointSpread,), "has no 'width', only sc"),
+        ({"scale": 1, "sahpe": "gaussian"}, (PointSpread,), "did you mean shape?"),
+        ({"kind": "PointSpread", "shape": "gaussian"}, CLASSES, "missing.*'scale'"),
         ({"kind": "PointSpread", "scale": -2}, (PointSpread,), "PointSpread.scale must be"),
-        ({"kind": "PointSpread", "scale": 2}, (), "no object is expected here, got 'PointSpread'"),
         ({"a": {"b": {"kind": "PointSpread", "scale": 2}}}, (), "no object is expected here"),
-        ({"metered": "perhaps"}, (RandomDevelopment,), "metered must be true or false, got 'per"),
-        ({"metered": 0}, (RandomDevelopment,), "metered must be true or false, got 0"),
+        ({"metered": "perhaps"}, (RandomDevelopment,), "metered must be true or false"),
+        ({"metered": 0}, (RandomDevelopment,), "metered must be true or false"),
         ({"noise": {"seed": 1, "full_well": True}}, (RandomDevelopment,), "full_well must be"),
-        ({"multiple": 2.5}, (Network,), "multiple must be a whole number, got 2.5"),
-        ({"p": True}, (RandomUnderwater,), "p must be a number, got True"),
-        (
-            {"distance": {"kind": "Water"}},
-            (RandomUnderwater,),
-            "kind must be .* got 'Water'",
-        ),
+        ({"multiple": 2.5}, (Network,), "multiple must be a whole number"),
+        ({"p": True}, (RandomUnderwater,), "p must be a number"),
+        ({"distance": {"kind": "Water"}}, (RandomUnderwater,), "got 'Water'"),
     ],
 )
 def test_what_cannot_be_read(data: Any, expected: tuple[type, ...], message: str) -> None:

@@ -81,30 +81,20 @@ def test_grey_and_16_bits_are_taken_as_in_files(shape: tuple[int, ...], white: i
         assert np.abs(frame.astype(int) - made).max() <= white // 255
 
 
-def test_labels_are_left_alone() -> None:
-    mask = (array()[..., 0] > 99).astype(np.uint8)
-    boxes = A.BboxParams("pascal_voc", label_fields=["labels"])
-    # without NoOp Albumentations warns that nothing moves the labels
-    result = pipeline(A.NoOp(), water(), bbox_params=boxes)(
-        image=array(), mask=mask, distance=metres(), bboxes=[[1.0, 2, 20, 15]], labels=["fish"]
-    )
-    assert np.array_equal(result["mask"], mask)
-    assert np.allclose(result["bboxes"], [[1, 2, 20, 15]])
-
-
 def test_boxes_that_water_hides_go() -> None:
     augment = RandomUnderwater(RandomWater("II", contrast=None))
     far = np.full((H, W), 40, np.float32)
     far[:, :16] = 0.5
     boxes = [[0.0, 0, 16, H], [18, 2, 30, 20], [18, 2, 18.2, 2.2], [1, 1, 9, 9]]
     params = A.BboxParams("pascal_voc", label_fields=["names"])
-    names = ["near", "far", "sliver", "small"]
-    data = {"image": array(), "mask": MASK, "distance": far, "bboxes": boxes, "names": names}
+    names, mask = ["near", "far", "sliver", "small"], array()[..., 0]
+    data = {"image": array(), "mask": mask, "distance": far, "bboxes": boxes, "names": names}
     rows = {}
     for limit in (None, 0.05, 1.0):
         moves = A.HorizontalFlip(p=1)
         made = pipeline(moves, water(augment, min_contrast=limit), bbox_params=params)
         result = made(**data)
+        assert np.array_equal(result["mask"], mask[:, ::-1])
         rows[limit] = dict(zip(result["names"], np.array(result["bboxes"]).tolist(), strict=True))
     assert [*rows[None]] == names
     assert [*rows[0.05]] == ["near", "small"]
@@ -212,39 +202,33 @@ def test_several_images_are_a_film() -> None:
     still = A.Compose([water(distance_key="mask")], seed=2)
     same = still(images=np.stack([array()] * 3), masks=np.stack([metres()] * 3))["images"]
     assert np.array_equal(same[0], same[2])
-    # a map that all frames share, and none
+    # a map that all frames share
     shared = A.Compose([water()], additional_targets={"distances": "mask"}, seed=2)
-    assert np.array_equal(
-        shared(images=np.stack([array()] * 3), mask=MASK, distances=metres())["images"], same
-    )
-    one_by_one = water()(images=[array()] * 2, distances=[metres()] * 2)["images"]
-    assert np.array_equal(one_by_one[0], one_by_one[1])
-    plane = water(RandomUnderwater("7C", distance=3.0))
-    assert plane(images=frames)["images"].shape == frames.shape
+    images = np.stack([array()] * 3)
+    assert np.array_equal(shared(images=images, mask=MASK, distances=metres())["images"], same)
+
+
+FILM = {"distance": metres(), "images": array()[None]}
 
 
 @pytest.mark.parametrize(
-    "options, data, message",
+    "options, data, words",
     [
-        ({"augment": RandomUnderwater(p=0.5)}, {}, "augment.p must be 1, got 0.5"),
-        ({"channels": "rgba"}, {}, "channels must be one of rgb, bgr"),
+        ({"augment": RandomUnderwater(p=0.5)}, {}, "augment.p must be 1"),
+        ({"channels": "rgba"}, {}, "channels must be"),
         ({"scale": -0.5}, {}, "scale must be"),
-        ({"p": 2}, {}, "p must be in"),
-        ({"min_contrast": 5}, {}, "min_contrast must be in"),
+        ({"p": 2}, {}, "p must be"),
+        ({"min_contrast": 5}, {}, "min_contrast must be"),
         ({"min_contrast": 0.1}, {"distance": metres(), "bboxes": [[0, 0, 9, 9]]}, "bbox_params"),
-        ({}, {}, "distance is missing, for image: pass a map"),
-        ({}, {"distance": metres(), "images": array()[None]}, "distances is missing, for images"),
-        (
-            {},
-            {"distance": metres(), "images": array()[None], "distances": metres()[None, :9]},
-            "height and width must agree",
-        ),
+        ({}, {}, "distance is missing, for image"),
+        ({}, FILM, "distances is missing, for images"),
+        ({}, {**FILM, "distances": metres()[None, :9]}, "height and width must agree"),
         ({}, {"distance": metres()[:9]}, "height and width must agree"),
         ({}, {"distance": 1000 * metres()}, "divide by 1000"),
     ],
 )
-def test_refusals(options: dict[str, Any], data: dict[str, Any], message: str) -> None:
-    with pytest.raises((ValueError, TypeError), match=message):
+def test_refusals(options: dict[str, Any], data: dict[str, Any], words: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=words):
         water(**options)(**{"image": array(), **data})
 
 

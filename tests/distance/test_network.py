@@ -33,105 +33,74 @@ def side_lengths(path, shape) -> str:
     return save(path, nodes, shape)
 
 
-class TestNetwork:
-    @pytest.mark.parametrize("keepdims", [0, 1])
-    def test_normalises_and_keeps_pixels_in_place(self, tmp_path, keepdims) -> None:
-        image = rand(2, 3, 5, 7).float()
-        path = mean_of_channels(tmp_path / "n.onnx", keepdims=keepdims)
-        network = Network(path, short_side=5, multiple=1)
-        mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
-        normalised = (image.numpy() - mean[:, None, None]) / std[:, None, None]
-        expected = normalised.mean(1, keepdims=True)
-        depth = network(image)
-        assert depth.shape == (2, 1, 5, 7)
-        np.testing.assert_allclose(depth.numpy(), expected, atol=1e-5)
-        np.testing.assert_allclose(network(image[1]).numpy(), expected[1], atol=1e-5)
-        assert network(image[:0]).shape == (0, 1, 5, 7)
-        assert network(image.double()).dtype == torch.float64
-        assert not network(image.requires_grad_()).requires_grad
+@pytest.mark.parametrize("keepdims", [0, 1])
+def test_normalises_and_keeps_pixels_in_place(tmp_path, keepdims) -> None:
+    image = rand(2, 3, 5, 7).float()
+    path = mean_of_channels(tmp_path / "n.onnx", keepdims=keepdims)
+    network = Network(path, short_side=5, multiple=1)
+    mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
+    normalised = (image.numpy() - mean[:, None, None]) / std[:, None, None]
+    expected = normalised.mean(1, keepdims=True)
+    depth = network(image)
+    assert depth.shape == (2, 1, 5, 7)
+    np.testing.assert_allclose(depth.numpy(), expected, atol=1e-5)
+    np.testing.assert_allclose(network(image[1]).numpy(), expected[1], atol=1e-5)
+    assert network(image[:0]).shape == (0, 1, 5, 7)
+    assert network(image.double()).dtype == torch.float64
+    assert not network(image.requires_grad_()).requires_grad
 
-    @pytest.mark.parametrize(
-        "shape, size, options, seen",
-        [
-            ((1, 3, "h", "w"), (100, 150), {}, (518, 784)),
-            ((1, 3, "h", "w"), (60, 40), {"short_side": 64, "multiple": 32}, (96, 64)),
-            ((1, 3, "h", "w"), (10, 400), {"short_side": 28}, (14, 112)),
-            ((1, 3, "h", "w"), (1, 3000), {}, (14, 2072)),
-            ((1, 3, 21, 33), (60, 40), {}, (21, 33)),
-            (("b", 3, 21, "w"), (20, 40), {"short_side": 20, "multiple": 5}, (21, 40)),
-        ],
-    )
-    def test_gives_the_network_the_size_it_needs(
-        self, tmp_path, shape, size, options, seen
-    ) -> None:
-        network = Network(side_lengths(tmp_path / "n.onnx", shape), **options)
-        depth = network(torch.rand(3, *size))
-        assert depth.shape == (1, *size)
-        assert torch.equal(depth.round(), torch.full((1, *size), 1000.0 * seen[0] + seen[1]))
 
-    def test_resizing_keeps_the_orientation(self, tmp_path) -> None:
-        path = mean_of_channels(tmp_path / "n.onnx", shape=(1, 3, 32, 48))
-        rows, columns = torch.linspace(0.2, 0.6, 64)[:, None], torch.linspace(0, 0.3, 80)
-        image = (rows + columns).expand(3, 64, 80).clone()
-        depth = Network(path, mean=(0, 0, 0), std=(1, 1, 1))(image)
-        assert (depth[0] - image[0])[2:-2, 2:-2].abs().max() < 2e-3
-        assert from_inverse(depth, 1.0, 5.0)[0, -1, -1].item() == pytest.approx(1.0)
+@pytest.mark.parametrize(
+    "shape, size, options, seen",
+    [
+        ((1, 3, "h", "w"), (100, 150), {}, (518, 784)),
+        ((1, 3, "h", "w"), (60, 40), {"short_side": 64, "multiple": 32}, (96, 64)),
+        ((1, 3, "h", "w"), (10, 400), {"short_side": 28}, (14, 112)),
+        ((1, 3, "h", "w"), (1, 3000), {}, (14, 2072)),
+        ((1, 3, 21, 33), (60, 40), {}, (21, 33)),
+        (("b", 3, 21, "w"), (20, 40), {"short_side": 20, "multiple": 5}, (21, 40)),
+    ],
+)
+def test_gives_the_network_the_size_it_needs(tmp_path, shape, size, options, seen) -> None:
+    network = Network(side_lengths(tmp_path / "n.onnx", shape), **options)
+    depth = network(torch.rand(3, *size))
+    assert depth.shape == (1, *size)
+    assert torch.equal(depth.round(), torch.full((1, *size), 1000.0 * seen[0] + seen[1]))
 
-    def test_pickles_with_and_without_a_session(self, tmp_path) -> None:
-        network = Network(mean_of_channels(tmp_path / "n.onnx"), short_side=6, multiple=3)
-        image = rand(3, 6, 9)
-        before = pickle.loads(pickle.dumps(network))
-        expected = network(image)
-        after = pickle.loads(pickle.dumps(network))
-        assert torch.equal(before(image), expected)
-        assert torch.equal(after(image), expected)
 
-    def test_what_is_no_model_is_named(self, tmp_path) -> None:
-        path = tmp_path / "passwd"
-        path.write_text("root:x:0:0:root:/root:/bin/bash\n")
-        with pytest.raises(ValueError, match=f"{path}: ONNX Runtime cannot load it"):
-            Network(path)(torch.rand(3, 28, 28))
+def test_resizing_keeps_the_orientation(tmp_path) -> None:
+    path = mean_of_channels(tmp_path / "n.onnx", shape=(1, 3, 32, 48))
+    rows, columns = torch.linspace(0.2, 0.6, 64)[:, None], torch.linspace(0, 0.3, 80)
+    image = (rows + columns).expand(3, 64, 80).clone()
+    depth = Network(path, mean=(0, 0, 0), std=(1, 1, 1))(image)
+    assert (depth[0] - image[0])[2:-2, 2:-2].abs().max() < 2e-3
+    assert from_inverse(depth, 1.0, 5.0)[0, -1, -1].item() == pytest.approx(1.0)
 
-    def test_says_what_to_install(self, tmp_path, monkeypatch) -> None:
-        network = Network(mean_of_channels(tmp_path / "n.onnx"))
-        monkeypatch.setitem(sys.modules, "onnxruntime", None)
-        with pytest.raises(ImportError, match=r'pip install "\.\[onnx\]"'):
-            network(torch.rand(3, 8, 8))
 
-    @pytest.mark.parametrize(
-        "image, message",
-        [
-            (torch.arange(256.0).expand(3, 2, 256), r"in \[0, 1\], got 0 to 255: divide by 255"),
-            (torch.full((3, 2, 2), math.nan), r"image must lie in \[0, 1\], got NaN only"),
-            (torch.zeros(3, 8, 8, dtype=torch.uint8), r"a floating-point tensor, got torch\.uint8"),
-            (torch.zeros(8, 8, 3), r"must have shape \(3, H, W\) or \(B, 3, H, W\), got"),
-            (torch.zeros(1, 1, 3, 8, 8), r"must have shape \(3, H, W\) or \(B, 3, H, W\), got"),
-        ],
-    )
-    def test_refused_images(self, tmp_path, image, message) -> None:
-        network = Network(mean_of_channels(tmp_path / "n.onnx"))
-        with pytest.raises((TypeError, ValueError), match=message):
-            network(image)
+def test_pickles_with_and_without_a_session(tmp_path) -> None:
+    network = Network(mean_of_channels(tmp_path / "n.onnx"), short_side=6, multiple=3)
+    image = rand(3, 6, 9)
+    before = pickle.loads(pickle.dumps(network))
+    expected = network(image)
+    after = pickle.loads(pickle.dumps(network))
+    assert torch.equal(before(image), expected)
+    assert torch.equal(after(image), expected)
 
-    def test_refused_networks(self, tmp_path) -> None:
-        with pytest.raises(FileNotFoundError, match=r"model must be an ONNX file, .*missing"):
-            Network(tmp_path / "missing.onnx")
-        path = mean_of_channels(tmp_path / "n.onnx")
-        for name in ("short_side", "multiple"):
-            with pytest.raises(ValueError, match=f"{name} must be finite and ≥ 1, got 0"):
-                Network(path, **{name: 0})
-        for shape in ((1, 8, 8, 3), (1, 4, 8, 8), (3, 8, 8)):
-            with pytest.raises(
-                ValueError, match=r"must take \(1, 3, h, w\) of floating point, got"
-            ):
-                Network(mean_of_channels(path, shape))(torch.rand(3, 8, 8))
-        network = Network(mean_of_channels(path, ("b", "c", "h", "w")))
-        assert network(torch.rand(3, 8, 8)).shape == (1, 8, 8)
-        copied = helper.make_node("Identity", ["x"], ["y"])
-        colours = save(tmp_path / "colours.onnx", [copied], (1, 3, "h", "w"), 4)
-        message = r"must give \(1, h, w\) or .*, got \(1, 3, 8, 8\)"
-        with pytest.raises(ValueError, match=message):
-            Network(colours, short_side=8, multiple=8)(torch.rand(3, 8, 8))
+
+@pytest.mark.parametrize(
+    "image, message",
+    [
+        (torch.arange(256.0).expand(3, 2, 256), r"in \[0, 1\], got 0 to 255: divide by 255"),
+        (torch.full((3, 2, 2), math.nan), r"image must lie in \[0, 1\], got NaN only"),
+        (torch.zeros(3, 8, 8, dtype=torch.uint8), r"a floating-point tensor, got torch\.uint8"),
+        (torch.zeros(8, 8, 3), r"must have shape \(3, H, W\) or \(B, 3, H, W\), got"),
+        (torch.zeros(1, 1, 3, 8, 8), r"must have shape \(3, H, W\) or \(B, 3, H, W\), got"),
+    ],
+)
+def test_refused_images(tmp_path, image, message) -> None:
+    network = Network(mean_of_channels(tmp_path / "n.onnx"))
+    with pytest.raises((TypeError, ValueError), match=message):
+        network(image)
 
 
 @pytest.fixture
@@ -165,13 +134,6 @@ def test_files_of_the_hub(hub, model, revision, expected) -> None:
     assert hub == [expected]
 
 
-@pytest.mark.parametrize("model", ["me/mine/b.onnx", "mine:b.onnx", "depth-anything-v3"])
-def test_what_is_no_address(hub, model) -> None:
-    with pytest.raises(FileNotFoundError, match=r"depth-anything-v2-small, or owner/name:file"):
-        Network(model)
-    assert not hub
-
-
 def test_what_the_hub_does_not_give(hub, run, tmp_path, monkeypatch) -> None:
     hub.append(RuntimeError("401 Error.\n\nGated: log in"))
     with pytest.raises(
@@ -187,13 +149,51 @@ def test_what_the_hub_does_not_give(hub, run, tmp_path, monkeypatch) -> None:
     assert not (tmp_path / "wet").exists()
 
 
-def test_no_extra(monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
-    with pytest.raises(ImportError, match=r"huggingface_hub is missing: pip install \"\.\[hub\]\""):
-        Network("depth-anything-v2-small")(torch.rand(3, 8, 8))
+@pytest.mark.parametrize(
+    "module, words", [("onnxruntime", r"\[onnx\]"), ("huggingface_hub", r"_hub is .*\[hub\]")]
+)
+def test_says_what_to_install(tmp_path, monkeypatch, module, words) -> None:
+    path = mean_of_channels(tmp_path / "n.onnx")
+    model = path if module == "onnxruntime" else "depth-anything-v2-small"
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ImportError, match=words):
+        Network(model)(torch.rand(3, 8, 8))
 
 
-def test_files_and_functions_have_no_revision(tmp_path) -> None:
-    for model in (mean_of_channels(tmp_path / "net.onnx"), lambda picture: picture[:1]):
-        with pytest.raises(ValueError, match="revision is of files on the hub, got model "):
-            Network(model, revision="v1")
+NO_ADDRESS = r"model must be an ONNX file, depth-anything-v2-small, or owner/name:file"
+NO_REVISION = "revision is of files on the hub, got model "
+REFUSED: list[tuple[Any, dict[str, Any], str]] = [
+    ("missing.onnx", {}, NO_ADDRESS),
+    ("me/mine/b.onnx", {}, NO_ADDRESS),
+    ("depth-anything-v3", {}, NO_ADDRESS),
+    ((1, 3, "h", "w"), {"short_side": 0}, "short_side must be finite and ≥ 1, got 0"),
+    ((1, 3, "h", "w"), {"multiple": 0}, "multiple must be finite and ≥ 1, got 0"),
+    ((1, 3, "h", "w"), {"revision": "v1"}, NO_REVISION),
+    (lambda picture: picture[:1], {"revision": "v1"}, NO_REVISION),
+    ((1, 8, 8, 3), {}, r"must take \(1, 3, h, w\) of floating point, got"),
+    ((1, 4, 8, 8), {}, r"must take \(1, 3, h, w\)"),
+    ((3, 8, 8), {}, r"must take \(1, 3, h, w\)"),
+    (b"root:x:0:0", {}, "n.onnx: ONNX Runtime cannot load it"),
+    ("three channels", {}, r"must give \(1, h, w\) or .*, got \(1, 3, 518, 518\)"),
+]
+
+
+@pytest.mark.parametrize("model, options, message", REFUSED)
+def test_refused_networks(hub, tmp_path, model, options, message) -> None:
+    path = tmp_path / "n.onnx"
+    if isinstance(model, tuple):
+        model = mean_of_channels(path, model)
+    elif isinstance(model, bytes):
+        path.write_bytes(model)
+        model = path
+    elif model == "three channels":
+        copied = helper.make_node("Identity", ["x"], ["y"])
+        model = save(path, [copied], (1, 3, "h", "w"), 4)
+    with pytest.raises((FileNotFoundError, ValueError), match=message):
+        Network(model, **options)(torch.rand(3, 8, 8))
+    assert not hub
+
+
+def test_sides_without_numbers_are_free(tmp_path) -> None:
+    network = Network(mean_of_channels(tmp_path / "n.onnx", ("b", "c", "h", "w")))
+    assert network(torch.rand(3, 8, 8)).shape == (1, 8, 8)

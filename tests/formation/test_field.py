@@ -34,8 +34,9 @@ def reference(
     return low + (high - low) * (field - field.min()) / (field.max() - field.min())
 
 
-@pytest.mark.parametrize("size", [(8, 8), (5, 9), (9, 4), (1, 6), (2, 1)])
-@pytest.mark.parametrize("exponent", [0.0, 2.0, 4.0])
+@pytest.mark.parametrize(
+    "size, exponent", [((8, 8), 0.0), ((5, 9), 2.0), ((9, 4), 4.0), ((1, 6), 2.0)]
+)
 def test_is_the_sum_of_waves(size, exponent) -> None:
     noise = torch.randn(2, 9, 9, generator=seeded(), dtype=torch.float64)
     field = field_of(noise, *size, exponent, 0.3, 1.7)
@@ -45,24 +46,17 @@ def test_is_the_sum_of_waves(size, exponent) -> None:
         np.testing.assert_allclose(field[b, 0].numpy(), expected, rtol=0, atol=1e-12)
 
 
-def spectrum(fields: torch.Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean periodogram under a Hann window (the fields are not periodic), and its frequencies in
-    cycles per pixel.
-    """
-    height, width = fields.shape[-2:]
-    window = torch.outer(torch.hann_window(height).double(), torch.hann_window(width).double())
-    centred = (fields - fields.mean((-2, -1), keepdim=True))[:, 0]
-    power = torch.fft.fft2(centred * window).abs().square()
-    power /= power.sum((-2, -1), keepdim=True)  # each field has a range of its own
-    fy, fx = np.meshgrid(np.fft.fftfreq(height), np.fft.fftfreq(width), indexing="ij")
-    return power.mean(0).numpy(), fy, fx
-
-
-@pytest.mark.parametrize("exponent", [2.0, 3.0, 4.0])
-@pytest.mark.parametrize("size", [(128, 128), (64, 128)])
-def test_power_spectrum_falls_as_the_exponent_says_in_every_direction(exponent, size) -> None:
+@pytest.mark.parametrize("exponent, height", [(2.0, 64), (4.0, 128)])
+def test_power_spectrum_falls_as_the_exponent_says_in_every_direction(exponent, height) -> None:
     noise = torch.randn(60, 257, 257, generator=seeded(), dtype=torch.float64)
-    power, fy, fx = spectrum(field_of(noise, *size, exponent, 0.7, 1.3))
+    fields = field_of(noise, height, 128, exponent, 0.7, 1.3)
+    # under a Hann window, as the fields are not periodic
+    window = torch.outer(torch.hann_window(height).double(), torch.hann_window(128).double())
+    centred = (fields - fields.mean((-2, -1), keepdim=True))[:, 0]
+    powers = torch.fft.fft2(centred * window).abs().square()
+    powers /= powers.sum((-2, -1), keepdim=True)  # each field has a range of its own
+    power = powers.mean(0).numpy()
+    fy, fx = np.meshgrid(np.fft.fftfreq(height), np.fft.fftfreq(128), indexing="ij")
     radius, angle = np.hypot(fy, fx), np.abs(np.arctan2(fy, fx))
     band = (radius > 0.06) & (radius < 0.3)
     slope, _ = np.polyfit(np.log(radius[band]), np.log(power[band]), 1)
@@ -86,8 +80,8 @@ def test_is_not_periodic() -> None:
     assert opposite < 0.2
 
 
-@pytest.mark.parametrize("sizes", [((128, 128), (512, 512)), ((32, 48), (128, 192))])
-def test_the_same_seed_gives_the_same_field_at_any_resolution(sizes) -> None:
+def test_the_same_seed_gives_the_same_field_at_any_resolution() -> None:
+    sizes = ((32, 48), (128, 192))
     small, large = (gaussian_random_field((2, *size), generator=seeded()) for size in sizes)
     pooled = torch.nn.functional.avg_pool2d(large, 4)
     for a, b in zip(small, pooled, strict=True):
@@ -149,21 +143,14 @@ def test_shapes_types_and_fields_without_a_range() -> None:
         assert torch.equal(field, torch.ones_like(field))
 
 
-OPTIONS: list[tuple[dict[str, Any], str]] = [
-    ({"low": 1.3, "high": 0.7}, "low and high must be.*got 1.3 and 0.7"),
-    ({"low": -0.1}, "got -0.1 and 1.3"),
-    ({"high": math.inf}, "low and high must be"),
-    ({"low": math.nan}, "low and high must be"),
-    ({"exponent": -1.0}, "exponent must be finite and ≥ 0, got -1.0"),
-    ({"exponent": math.inf}, "exponent must be finite"),
-    ({"shape": (2, 3, 8, 8)}, r"shape must be \(B, 1, H, W\).*got \(2, 3, 8, 8\)"),
-    ({"shape": (8,)}, r"shape must be \(B, 1, H, W\).*got \(8,\)"),
-    ({"shape": (2, 0, 8)}, r"at least one pixel per side, got \(2, 0, 8\)"),
-    ({"shape": (1, 1, 32.5, 32)}, r"shape must hold whole numbers.*32\.5"),
-]
-
-
-@pytest.mark.parametrize("options, message", OPTIONS)
-def test_a_field_refuses(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        gaussian_random_field(**{"shape": (8, 8), **options})
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        *[("low", low) for low in (1.5, -0.1, math.nan)],
+        *[("exponent", exponent) for exponent in (-1.0, math.inf)],
+        *[("shape", shape) for shape in ((2, 3, 8, 8), (8,), (2, 0, 8), (1, 1, 32.5, 32))],
+    ],
+)
+def test_a_field_refuses(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=name):
+        gaussian_random_field(**{"shape": (8, 8), name: value})

@@ -17,9 +17,8 @@ for group in conditions().values():
     CASES |= group
 
 
-def judged(method: Method, name: str = "usual", **changes: object) -> tuple[str, str]:
-    case = replace(CASES[name], **changes)
-    verdicts = stability.judge(method, case, stability.right(case))
+def judged(method: Method, name: str = "usual") -> tuple[str, str]:
+    verdicts = stability.judge(method, CASES[name], stability.right(CASES[name]))
     return verdicts["value"], verdicts["gradient"]
 
 
@@ -28,20 +27,13 @@ def test_uwaug_is_right_everywhere(name: str) -> None:
     assert judged(stability.ours, name) == ("right", "right")
 
 
-def test_so_is_the_model_that_they_are_held_against() -> None:
-    singular = ("z = 0 in part", "z = +∞ in part", "σ ∝ √z at z = 0", "sRGB 0 and 1, z = 0")
-    for name in ("usual", "batch of 2 media", *singular):
-        assert judged(lambda c: exact(c.to(torch.float64)), name)[0] == "right", name
+@pytest.mark.parametrize("name", ["batch of 2 media", "z = +∞ in part", "sRGB 0 and 1, z = 0"])
+def test_so_is_the_model_that_it_is_held_against(name: str) -> None:
+    assert judged(lambda c: exact(c.to(torch.float64)), name)[0] == "right"
 
 
 def spoilt(c: Case, **changes: object) -> torch.Tensor:
     return stability.ours(replace(c, **changes))
-
-
-def with_nan(c: Case) -> torch.Tensor:
-    out = stability.ours(c).clone()
-    out[..., 0, 0] = torch.nan
-    return out
 
 
 def fails(c: Case) -> torch.Tensor:
@@ -66,25 +58,23 @@ class Clipped(torch.autograd.Function):
         return grad * x / x
 
 
-def dice(c: Case) -> torch.Tensor:
-    return stability.ours(c) + 1e-6 * torch.rand(())
-
-
 # a method, a condition, and what is to be found of value and gradient
 WRONG: list[tuple[Method, str, str, str]] = [
     (lambda c: 1.01 * stability.ours(c), "usual", r"off by 0.00\d+", "right"),
-    (lambda c: 1.1 * stability.ours(c), "z = 1 µm, J = 0", r"off by 0\.0\d+", "right"),
-    (with_nan, "usual", "NaN", "right"),
     (fails, "usual", "RuntimeError", "RuntimeError"),
     (lambda c: stability.ours(c)[..., 1:, :], "usual", "wrong shape", "wrong shape"),
     (lambda c: stability.ours(c).detach(), "usual", "right", "none"),
     (lambda c: spoilt(c, scale=c.scale.detach()), "usual", "right", r"off by (0\.9.*|1)"),
-    (lambda c: spoilt(c, field=c.field.detach()), "usual", "right", r"off by (0\.9.*|1)"),
     (lambda c: spoilt(c, image=Clipped.apply(c.image)), "J = 0 and 1", "right", "NaN"),
     (lambda c: spoilt(c, distance=c.distance.nan_to_num()), "z NaN in part", "silent", "silent"),
     (lambda c: c.image * c.distance, "z NaN in part", "NaN", "NaN"),
     (complains, "z NaN in part", "ValueError", "ValueError"),
-    (dice, "deterministic, twice", "not repeatable", "right"),
+    (
+        lambda c: stability.ours(c) + 1e-6 * torch.rand(()),
+        "deterministic, twice",
+        "not repeatable",
+        "right",
+    ),
     (lambda c: stability.ours(c) * c.image.is_contiguous(), "channels last", "off.*", "off.*"),
 ]
 
@@ -93,14 +83,10 @@ WRONG: list[tuple[Method, str, str, str]] = [
 def test_the_judge_tells_wrong_from_right(
     method: Method, condition: str, value: str, gradient: str
 ) -> None:
+    before = torch.are_deterministic_algorithms_enabled()
     found = judged(method, condition)
     assert re.fullmatch(value, found[0]), found
     assert re.fullmatch(gradient, found[1]), found
-
-
-def test_deterministic_algorithms_are_switched_back() -> None:
-    before = torch.are_deterministic_algorithms_enabled()
-    judged(fails, "deterministic, twice")
     assert torch.are_deterministic_algorithms_enabled() == before
 
 

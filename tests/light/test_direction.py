@@ -89,15 +89,10 @@ def test_random_pictures_look_up_and_down() -> None:
     params, level = {"samples": samples[:1]}, RandomLight(share=0.0, pitch=None)
     with pytest.raises(ValueError, match=r"other options: light\.pitch"):
         RandomUnderwater(light=level).transform(image, z, params)
-
-
-def test_without_a_pitch_there_is_no_direction() -> None:
-    image, z = scene(1)
-    augment = RandomUnderwater(light=RandomLight(share=0.0, pitch=None))
-    params = augment.make_params(image)
+    params = RandomUnderwater(light=level).make_params(image)
     assert params["samples"][0]["light"] == {}
     paper = RandomUnderwater(light=None).transform(image, z, params)
-    assert torch.equal(augment.transform(image, z, params), paper)
+    assert torch.equal(RandomUnderwater(light=level).transform(image, z, params), paper)
 
 
 def test_pitches_are_written_and_read() -> None:
@@ -120,15 +115,7 @@ def test_pictures_and_pitches_are_as_many() -> None:
         RandomUnderwater(light=two)
 
 
-@pytest.mark.parametrize(
-    "pitch, message",
-    [
-        (91.0, "pitch must be in"),
-        (torch.tensor([91.0]), "pitch must be in"),
-        (torch.tensor([1]), "pitch must be a floating-point tensor"),
-        ("up", "pitch must be in"),
-    ],
-)
-def test_wrong_pitches_are_refused(pitch: Any, message: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=message):
+@pytest.mark.parametrize("pitch", [91.0, torch.tensor([91.0]), torch.tensor([1]), "up"])
+def test_wrong_pitches_are_refused(pitch: Any) -> None:
+    with pytest.raises((TypeError, ValueError), match="pitch must be"):
         Light(pitch=pitch)

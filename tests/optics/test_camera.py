@@ -37,22 +37,16 @@ def test_copies_are_equal_and_still_read_only(clone):
 
 
 @pytest.mark.parametrize(
-    "changes, message",
+    "response, message",
     [
-        ({"response": np.ones((3, 4))}, r"shape \(3, 3\), as wavelengths, got \(3, 4\)"),
-        (
-            {"response": [[1, 1, 1], [np.nan, 1, np.inf], [1, 1, 1]]},
-            "2 NaN or infinite of 9 .* at 500 nm",
-        ),
-        (
-            {"response": [[0, 1, 0], [0, 1, 0], [0, 1, 0]]},
-            "'toy' has no response in red and blue",
-        ),
+        (np.ones((3, 4)), r"shape \(3, 3\).*got \(3, 4\)"),
+        ([[1, 1, 1], [np.nan, 1, np.inf], [1, 1, 1]], "2 NaN or infinite of 9 .* at 500 nm"),
+        ([[0, 1, 0], [0, 1, 0], [0, 1, 0]], "no response in red and blue"),
     ],
 )
-def test_bad_input(changes, message):
+def test_bad_input(response, message):
     with pytest.raises(ValueError, match=message):
-        toy(**changes)
+        toy(response=response)
 
 
 # ----- at, weights
@@ -104,39 +98,34 @@ def test_other_names_and_types_are_refused():
     camera = toy()
     assert load_camera(camera) is camera
     assert load_camera("NIKON 5100 NPL") is load_camera("Nikon5100(NPL)") is load_camera(NIKON)
-    message = r"no camera is called so; there are '.*', '.*', or .* path of a \.csv"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match="Nikon 5100"):
         load_camera("Nikon D90")
-    with pytest.raises(TypeError, match=r"camera must be a name, .* or a Camera, got 5100"):
+    with pytest.raises(TypeError, match="5100"):
         load_camera(5100)
 
 
 # ----- from a file
 
 
-def write(tmp_path, text, name="toy.csv"):
-    path = tmp_path / name
-    path.write_text(text)
-    return path
-
-
 @pytest.mark.parametrize("text", [ROWS, '\ufeff"lambda","r (rel.)","Green","b"\r\n' + ROWS])
 def test_csv(tmp_path, text):
-    path = write(tmp_path, text)
+    path = tmp_path / "toy.csv"
+    path.write_text(text)
     assert load_camera(path) == load_camera(str(path)) == toy()
 
 
 @pytest.mark.parametrize(
     "text, message",
     [
-        (ROWS.replace(",", ":"), "line 1: expected numbers wavelength, R, G, B"),
-        ("frequency [THz],R,G,B\n" + ROWS, "wavelength in another unit than nm or µm"),
-        ("wavelength,B,G,R\n" + ROWS, "line 1: expected numbers wavelength, R, G, B"),
-        ("user,name,pass-word-of-mine,hunter2\n", "line 1: expected numbers"),
+        (ROWS.replace(",", ":"), "line 1"),
+        ("frequency [THz],R,G,B\n" + ROWS, "wavelength in another unit"),
+        ("wavelength,B,G,R\n" + ROWS, "line 1"),
+        ("user,name,pass-word-of-mine,hunter2\n", "line 1"),
     ],
 )
 def test_bad_csv(tmp_path, text, message):
-    path = write(tmp_path, text)
+    path = tmp_path / "toy.csv"
+    path.write_text(text)
     with pytest.raises(ValueError, match=message) as info:
         load_camera(path)
     assert str(info.value).startswith(str(path))

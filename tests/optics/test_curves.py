@@ -14,20 +14,18 @@ from scenes import CURVES, Z, coastal, errors
 from uwaug import JERLOV_TYPES, Medium, PointSpread, Water
 from uwaug.optics.view import View
 
-DEPTHS = (0.0, 1.0, 10.0)
-ANY = np.concatenate([np.geomspace(1e-6, 1e5, 1500), np.linspace(20, 150, 200)])  # m
+ANY = np.sort(np.concatenate([np.geomspace(1e-6, 1e5, 1500), np.linspace(20, 150, 200)]))  # m
 
 
 @pytest.mark.parametrize("type", JERLOV_TYPES)
-@pytest.mark.parametrize("tolerance", [0.01, 0.002, 0.0005])
-def test_curves_keep_the_tolerance(type: str, tolerance: float) -> None:
-    water, worst = Water.jerlov(type), {}
-    for depth, g in itertools.product(DEPTHS, (0.0, 0.02, 0.2, 1.0)):
-        medium = Medium.from_water(water, vertical_depth=depth, g=g, mu=0.3, tolerance=tolerance)
-        z = np.sort(ANY) if tolerance == 0.002 else Z
-        worst[depth, g] = max(errors(medium, water, z, depth=depth, g=g, mu=0.3))
-    missed = {case: error for case, error in worst.items() if error > tolerance}
-    assert max(worst.values()) <= tolerance, missed
+def test_curves_keep_the_tolerance(type: str) -> None:
+    water = Water.jerlov(type)
+    for depth, g in itertools.product((0.0, 1.0, 10.0), (0.0, 0.02, 0.2, 1.0)):
+        for tolerance, z in ((0.01, Z), (0.002, ANY), (0.0005, Z)):
+            options = {"vertical_depth": depth, "g": g, "mu": 0.3, "tolerance": tolerance}
+            medium = Medium.from_water(water, **options)
+            worst = max(errors(medium, water, z, depth=depth, g=g, mu=0.3))
+            assert worst <= tolerance, options
 
 
 def test_curves_of_rates_that_are_spent_within_a_millimetre() -> None:
@@ -38,7 +36,7 @@ def test_curves_of_rates_that_are_spent_within_a_millimetre() -> None:
     assert max(errors(medium, water, z, depth=0.0, g=0.2, mu=0.3)) <= 0.002
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", range(16))
 def test_mixtures_of_any_turbidity_keep_the_tolerance(seed: int) -> None:
     rng = np.random.default_rng(seed)
     one, other = (Water.jerlov(type) for type in rng.choice(JERLOV_TYPES[1:], 2))
@@ -57,7 +55,7 @@ def test_mixtures_of_any_turbidity_keep_the_tolerance(seed: int) -> None:
     assert all((t >= 0).all() for t in medium.tensors())
 
 
-@pytest.mark.parametrize("type", ["I", "II", "3C", "9C"])
+@pytest.mark.parametrize("type", ["I", "3C"])
 def test_no_more_rates_than_needed(type: str) -> None:
     water, z = Water.jerlov(type), np.concatenate([Z, np.geomspace(20, 1e4, 200)])
 
@@ -82,7 +80,7 @@ def test_the_error_in_the_repr_is_the_error() -> None:
     assert max(errors(medium, water, depth=1.0, g=0.2, mu=0.3)) <= 1.1 * claimed
 
 
-@pytest.mark.parametrize("type", JERLOV_TYPES)
+@pytest.mark.parametrize("type", ["I", "II", "9C"])
 @pytest.mark.parametrize("g", [0.0, 0.2, 1.0])
 def test_monotone_bounded_and_exact_at_the_ends(type: str, g: float) -> None:
     medium = Medium.from_water(type, g=g, mu=0.3)
@@ -99,7 +97,7 @@ def test_monotone_bounded_and_exact_at_the_ends(type: str, g: float) -> None:
     torch.testing.assert_close(veil[:, -1], medium.veil_weights[0].sum(-1))
 
 
-@pytest.mark.parametrize("shape", [(), (5,), (1, 4, 6), (1, 1, 4, 6), (3, 1, 4, 6)], ids=str)
+@pytest.mark.parametrize("shape", [(), (1, 4, 6), (3, 1, 4, 6)], ids=str)
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
 def test_shapes(surfaces: str, shape: tuple[int, ...]) -> None:
     types = ("I", "3C", "9C")

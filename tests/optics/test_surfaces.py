@@ -51,8 +51,7 @@ def test_the_basis_is_that_of_colour_science() -> None:
     np.testing.assert_allclose(between, basis[:, 10:12].mean(1), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("camera", [NIKON, SIGMA, "own matrix"])
+@pytest.mark.parametrize("share, camera", [(0.5, NIKON), (1.0, SIGMA), (0.5, "own matrix")])
 def test_air_changes_nothing(camera: str, share: float) -> None:
     eye = camera_of(OWN) if camera == "own matrix" else camera
     air = torch.zeros(1, 1, 6, 7, dtype=torch.float64)
@@ -63,11 +62,11 @@ def test_air_changes_nothing(camera: str, share: float) -> None:
         torch.testing.assert_close(seen, image, rtol=0, atol=1e-6)  # the basis sums to 1 ± 3e-8
 
 
-@pytest.mark.parametrize("camera", [NIKON, SIGMA])
 @pytest.mark.parametrize("water", JERLOV_TYPES)
-def test_curves_are_those_of_the_bands(water: str, camera: str) -> None:
+def test_curves_are_those_of_the_bands(water: str) -> None:
+    camera = SIGMA if water in ("II", "5C") else NIKON
     eye = spectral.eye(camera)
-    for depth in (0.0, 1.0, 10.0, 25.0):
+    for depth in (0.0, 10.0, 25.0):
         bands = spectral.bands_of(Water.jerlov(water), depth=depth, **SCATTERING)
         exact = spectral.curves(bands, Z, eye)
         medium = medium_of(water, camera=camera, vertical_depth=depth)
@@ -77,8 +76,7 @@ def test_curves_are_those_of_the_bands(water: str, camera: str) -> None:
         assert max(errors(every_band, exact)) <= (1e-8 if every_band.is_spectral else 0.002)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("own", [None, OWN], ids=["of the basis", "own"])
+@pytest.mark.parametrize("share, own", [(0.0, None), (0.5, None), (0.5, OWN), (1.0, OWN)])
 def test_a_share_of_the_matrix(share: float, own: Any) -> None:
     eye = spectral.eye(NIKON, share, own)
     exact = spectral.curves(spectral.bands_of(Water.jerlov("1C"), depth=4.0, **SCATTERING), Z, eye)
@@ -110,12 +108,10 @@ def test_three_numbers_serve_where_channels_do_not_mix() -> None:
 
 
 @pytest.mark.parametrize(
-    "matrix",
-    [np.eye(2), np.ones((3, 3)), -np.eye(3), np.full((3, 3), np.nan)],
-    ids=["2x2", "singular", "negative", "NaN"],
+    "matrix", [np.eye(2), np.ones((3, 3)), -np.eye(3), np.full((3, 3), np.nan)]
 )
 def test_matrices_that_no_camera_has(matrix: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="color_matrix must be 3x3 numbers that can be inverted"):
+    with pytest.raises(ValueError, match="color_matrix must be"):
         camera_of(matrix)
 
 
@@ -133,15 +129,10 @@ def test_a_cameras_matrix_is_part_of_it() -> None:
 
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
 def test_waters_that_hide_a_channel_are_refused(surfaces: Any) -> None:
-    axis = np.arange(400.0, 701.0, 25.0)
-    for last, allowed in ((650.0, True), (600.0, False)):
-        water = Water.jerlov("3C").at(axis[axis <= last])
-        if allowed:
-            Medium.from_water(water, surfaces=surfaces)
-            continue
-        message = "water covers 400–600 nm, 49% of what red of camera 'Nikon 5100 .NPL.' sees"
-        with pytest.raises(ValueError, match=message):
-            Medium.from_water(water, surfaces=surfaces)
+    water = Water.jerlov("3C")
+    Medium.from_water(water.at(np.arange(400.0, 651.0, 25.0)), surfaces=surfaces)
+    with pytest.raises(ValueError, match="water covers 400–600 nm, 49% of what red"):
+        Medium.from_water(water.at(np.arange(400.0, 601.0, 25.0)), surfaces=surfaces)
 
 
 def test_grey_stacks_with_spectral() -> None:
@@ -175,15 +166,7 @@ def test_a_lamp_lights_surfaces_with_spectra(tolerance: float) -> None:
     np.testing.assert_allclose(scattered.numpy(), wanted, rtol=0, atol=1e-7 + 3 * tolerance)
 
 
-def test_media_of_both_kinds_under_a_lamp() -> None:
-    media = [Medium.from_water("3C"), medium_of("7C")]
-    stacked, z = Medium.stack(media).under_lamp().signal(torch.tensor(1.5)), torch.tensor(1.5)
-    for ours, medium in zip(stacked, media, strict=True):
-        alone = medium.under_lamp().signal(z)[0]
-        torch.testing.assert_close(ours, alone if medium.is_spectral else torch.diag(alone))
-
-
 def test_a_camera_whose_channels_see_the_same_is_refused() -> None:
     same = Camera([400, 700], [[1, 1, 1], [2, 2, 2.001]])
-    with pytest.raises(ValueError, match=r"cannot tell three colours apart: cover .*grey"):
+    with pytest.raises(ValueError, match=r"cannot tell three colours apart: .*grey"):
         medium_of(camera=same)

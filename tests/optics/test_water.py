@@ -35,16 +35,11 @@ def toy(**changes: Any) -> Water:
 # ---- own spectra
 
 
-def test_immutable_and_independent_of_its_input() -> None:
+def test_independent_of_its_input() -> None:
     a = np.array([0.1, 0.2, 0.3, 0.7])
     water = toy(a=a)
     a[:] = 9
     assert water.a[0] == 0.1
-    for name in QUANTITIES:
-        with pytest.raises(ValueError, match="read-only"):
-            getattr(water, name)[0] = 1
-    with pytest.raises(AttributeError):
-        water.a = a
 
 
 @pytest.mark.parametrize(
@@ -52,31 +47,27 @@ def test_immutable_and_independent_of_its_input() -> None:
     [{"a": [0.1, 0.2, 0.3, 0.6]}, {"kd": [1, 1, 1, 1]}, {"name": "x"}, {"provenance": ("x",)}],
 )
 def test_equality_sees_every_field(changes: dict[str, Any]) -> None:
-    assert toy() == toy()
-    assert toy(**changes) != toy()
-    assert toy() != "water"
+    assert toy() == toy() != toy(**changes)
 
 
-SPECTRA: list[tuple[dict[str, Any], type[Exception], str]] = [
-    ({"wavelengths": []}, ValueError, r"not empty, got shape \(0,\)"),
-    ({"wavelengths": [400, 500, 500, 700]}, ValueError, "ascending, got 500 after 500"),
-    ({"wavelengths": [400, np.nan, 600, 700]}, ValueError, "finite, got 1 NaN"),
-    ({"wavelengths": [0, 500, 600, 700]}, ValueError, "between 100 and 3000, got 0…700$"),
-    ({"wavelengths": "blue"}, TypeError, "must be an array of numbers, got 'blue'"),
-    ({"a": [0.1, 0.2]}, ValueError, r"a must have shape \(4,\)"),
-    ({"b": [np.inf, 1, 1, 1]}, ValueError, "b has 1 NaN or infinite of 4 values, at 400 nm"),
-    ({"kd": [0.1, 0.2, -0.3, 0.4]}, ValueError, "kd has 1 negative of 4 values, at 600 nm"),
-    ({"kd": [0.1, 0.16, 0.3, 0.59]}, ValueError, "kd must be a at least.* less at 500, 700 nm"),
-    ({"provenance": "a note"}, TypeError, "provenance must be a list of strings"),
-]
-
-
-@pytest.mark.parametrize("changes, error, message", SPECTRA)
-def test_spectra_that_are_refused(
-    changes: dict[str, Any], error: type[Exception], message: str
-) -> None:
-    with pytest.raises(error, match=message):
-        toy(**changes)
+@pytest.mark.parametrize(
+    "name, values, words",
+    [
+        ("wavelengths", [], "shape"),
+        ("wavelengths", [400, 500, 500, 700], "500 after 500"),
+        ("wavelengths", [400, np.nan, 600, 700], "nan"),
+        ("wavelengths", [0, 500, 600, 700], "0…700"),
+        ("wavelengths", "blue", "'blue'"),
+        ("a", [0.1, 0.2], "shape"),
+        ("b", [np.inf, 1, 1, 1], "infinite of 4 values, at 400 nm"),
+        ("kd", [0.1, 0.2, -0.3, 0.4], "1 negative of 4 values, at 600 nm"),
+        ("kd", [0.1, 0.16, 0.3, 0.59], "less at 500, 700 nm"),
+        ("provenance", "a note", "list of strings"),
+    ],
+)
+def test_spectra_that_are_refused(name: str, values: Any, words: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=f"{name}.*{words}"):
+        toy(**{name: values})
 
 
 # ---- resample, mix
@@ -118,16 +109,16 @@ def test_mixtures_ends_and_names() -> None:
 
 
 @pytest.mark.parametrize(
-    "other, t, error, message",
+    "other, t, words",
     [
-        (toy(), -0.1, ValueError, r"t must be in \[0, 1\].*got"),
-        (toy(), math.nan, ValueError, r"t must be in \[0, 1\].*got"),
-        ("7C", 0.5, TypeError, r"other must be a uwaug.Water, got str"),
-        (Water([800, 900], [1, 1], [1, 1], [1, 1]), 0.5, ValueError, "no common wavelength"),
+        (toy(), -0.1, "t must be"),
+        (toy(), math.nan, "t must be"),
+        ("7C", 0.5, "other must be"),
+        (Water([800, 900], [1, 1], [1, 1], [1, 1]), 0.5, "no common wavelength"),
     ],
 )
-def test_mix_refuses(other: Any, t: float, error: type[Exception], message: str) -> None:
-    with pytest.raises(error, match=message):
+def test_mix_refuses(other: Any, t: float, words: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=words):
         toy().mix(other, t)
 
 
@@ -148,7 +139,7 @@ def test_visibility_without_attenuation_and_without_light() -> None:
         infrared.visibility()
 
 
-@pytest.mark.parametrize("type", JERLOV_TYPES)
+@pytest.mark.parametrize("type", ["I", "II", "9C"])
 def test_contrast_is_what_luminance_keeps(type: str) -> None:
     water, nm = Water.jerlov(type), np.linspace(400, 700, 2401)
     observer, xyz = jerlov.cie_1931_cmf()
@@ -158,11 +149,6 @@ def test_contrast_is_what_luminance_keeps(type: str) -> None:
         kept = np.trapezoid(eye * np.exp(-beta * metres), nm) / np.trapezoid(eye, nm)
         assert water.contrast(metres) == pytest.approx(kept, rel=1e-4)
     assert water.contrast(water.visibility()) == pytest.approx(CONTRAST_THRESHOLD, rel=1e-9)
-
-
-@pytest.mark.parametrize("type", JERLOV_TYPES)
-def test_daylight_fades_with_depth(type: str) -> None:
-    water = Water.jerlov(type)
     depth = water.depth_of_daylight(0.03)
     assert water.daylight(depth) == pytest.approx(0.03, rel=1e-9)
     # K_d in place of β, the same integral
@@ -230,13 +216,13 @@ WIDE = Water([250, 850], [1, 2], [1, 1], [1, 2])
 @pytest.mark.parametrize(
     "water, contrast, metres, message",
     [
-        (Water.jerlov("II"), -0.1, 3.0, "contrast must be finite and > 0"),
-        (Water.jerlov("II"), 0.5, math.nan, "metres must be finite and > 0, got nan"),
-        (Water.jerlov("II"), 1.0, 3.0, r"contrast=1 at 3 m is more than the pure water in 'II'"),
-        (PURE, 0.5, 5.0, "'pure' is but pure water to the eye: nothing to scale"),
-        (Water.jerlov("I").at(WAVELENGTHS), 0.02, 4.0, "'I' is but pure water to the eye"),
-        (Water.jerlov("9C"), 0.02, 2e-308, "out of reach: it needs .* times its contents"),
-        (WIDE, 0.02, 1.0, r"tabulated at 300–800 nm, got 250–850 nm"),
+        (Water.jerlov("II"), -0.1, 3.0, "contrast must be"),
+        (Water.jerlov("II"), 0.5, math.nan, "metres must be"),
+        (Water.jerlov("II"), 1.0, 3.0, "more than the pure water in 'II'"),
+        (PURE, 0.5, 5.0, "'pure' is but pure water"),
+        (Water.jerlov("I").at(WAVELENGTHS), 0.02, 4.0, "'I' is but pure water"),
+        (Water.jerlov("9C"), 0.02, 2e-308, "out of reach"),
+        (WIDE, 0.02, 1.0, "250–850 nm"),
     ],
 )
 def test_contrasts_out_of_reach(water: Water, contrast: float, metres: float, message: str) -> None:
@@ -244,22 +230,19 @@ def test_contrasts_out_of_reach(water: Water, contrast: float, metres: float, me
         water.with_contrast(contrast, metres)
 
 
-@pytest.mark.parametrize("source", ["solonenko2015", "williamson2022"])
-@pytest.mark.parametrize("type", ["IB", "II", "5C"])
-def test_derived_waters_are_waters(type: str, source: str) -> None:
+@pytest.mark.parametrize(
+    "water", [Water.jerlov("II"), Water.jerlov("5C", "williamson2022")], ids=lambda w: w.name
+)
+def test_derived_waters_are_waters(water: Water) -> None:
     # they skip the checks of the constructor, which copies and codec pass
-    water, other = Water.jerlov(type, source), Water.jerlov("9C")
-    derived = [water.with_contents(factor) for factor in (0, 0.3, 2, 20, 1000)]
-    derived += [derived[3].at([450.0, 512.5, 607.0]), water.mix(other, 0.3).with_contents(50)]
-    for one in (water, *derived):
-        for again in (
-            one,
-            pickle.loads(pickle.dumps(one)),
-            codec.from_plain(codec.to_plain(one), Water),
-        ):
-            assert again == one
-            assert hash(again) == hash(one)
-            assert not any(getattr(again, key).flags.writeable for key in QUANTITIES)
+    derived = [water.with_contents(factor) for factor in (0, 0.3, 20, 1000)]
+    derived += [derived[2].at([450.0, 607.0]), water.mix(Water.jerlov("9C"), 0.3)]
+    for before in (water, *derived):
+        stored = codec.from_plain(codec.to_plain(before), Water)
+        for after in (before, pickle.loads(pickle.dumps(before)), stored):
+            assert after == before
+            assert hash(after) == hash(before)
+            assert not any(getattr(after, key).flags.writeable for key in QUANTITIES)
 
 
 # ---- the Jerlov types
@@ -318,25 +301,16 @@ def test_the_measured_source(type: str) -> None:
     assert f"Jerlov {type}: {borrowed}" in water.provenance
 
 
-def test_provenance_names_what_was_repaired() -> None:
-    provenance = Water.jerlov("5C").provenance
-    for said in (
-        "a at 600–700 nm: Williamson & Hollins 2022 (misprinted",
-        "b at 600–700 nm: recon",
-    ):
-        assert any(line.startswith(f"Jerlov 5C: {said}") for line in provenance)
-
-
 @pytest.mark.parametrize(
-    "arguments, message",
+    "arguments, words",
     [
-        (("5D",), r"type must be one of I, IA, .*9C with source 'solonenko2015', got '5D'"),
-        (("9C", "williamson2022"), "type must be one of IB, II, III, 1C, 3C, 5C with source"),
-        (("II", "jerlov1976"), "source must be one of .*williamson2022, got 'jerlov1976'"),
+        (("5D",), "I, IA, .*9C .*'5D'"),
+        (("9C", "williamson2022"), "IB, II, III, 1C, 3C, 5C"),
+        (("II", "jerlov1976"), "source must be one of .*'jerlov1976'"),
     ],
 )
-def test_unknown_types_and_sources(arguments: tuple[str, ...], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+def test_unknown_types_and_sources(arguments: tuple[str, ...], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
         Water.jerlov(*arguments)
 
 
@@ -348,47 +322,28 @@ TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8],
 
 
 @pytest.mark.parametrize(
-    "header",
-    [
-        "",
-        "nm,a,b,K_d\n",
-        "\ufeffwavelength, a, b, kd\r\n",
-        "nm,Absorption,scattering,Kd(PAR)\n",
-        "wavelength [nm],a [1/m],b (m^-1),K_d/m⁻¹\n",
-    ],
-)
-def test_water_from_a_file(tmp_path: Path, header: str) -> None:
-    path = tmp_path / "tank.csv"
-    path.write_text(header + ROWS)
-    for named in (path, str(path)):
-        water = load_water(named)
-        assert (water.name, water.provenance) == ("tank", ("a, b, K_d: tank.csv",))
-        for name in QUANTITIES:
-            np.testing.assert_array_equal(getattr(water, name), getattr(TANK, name))
-
-
-@pytest.mark.parametrize(
     "header, nm, metre",
     [
-        ("wavelength [nm],a [1/cm],b (cm^-1),K_d per cm", 1, 100),
-        ("λ/nm,a/cm⁻¹,b (cm−1),kd [ cm^{-1} ]", 1, 100),
-        ("wavelength_um,a 1/mm,b /mm,kd [1/mm]", 1000, 1000),
-        ("Wavelength (µm),a [km-1],b [1/km],kd [/km]", 1000, 0.001),
-        ("microns,a,b,kd", 1000, 1),
+        ("", 1, 1),
+        ("\ufeffwavelength, a, b, kd\r\n", 1, 1),
+        ("nm,Absorption,scattering,Kd(PAR)\n", 1, 1),
+        ("wavelength [nm],a [1/m],b (m^-1),K_d/m⁻¹\n", 1, 1),
+        ("λ/nm,a/cm⁻¹,b (cm−1),kd [ cm^{-1} ]\n", 1, 100),
+        ("wavelength_um,a 1/mm,b /mm,kd per mm\n", 1000, 1000),
+        ("Wavelength (µm),a [km-1],b [1/km],kd [/km]\n", 1000, 0.001),
+        ("microns,a,b,kd\n", 1000, 1),
     ],
 )
-@pytest.mark.parametrize("separator, point", [(",", "."), (";", ","), ("\t", ",")])
-def test_units_of_a_header(
-    tmp_path: Path, header: str, nm: float, metre: float, separator: str, point: str
-) -> None:
+def test_water_from_a_file(tmp_path: Path, header: str, nm: float, metre: float) -> None:
     table = np.array([TANK.wavelengths / nm, *(getattr(TANK, n) / metre for n in ("a", "b", "kd"))])
-    lines = [header, *(",".join(map(repr, row)) for row in table.T.tolist())]
-    text = "\n".join(line.replace(",", separator) for line in lines)
+    text = header + "".join(",".join(map(repr, row)) + "\n" for row in table.T.tolist())
     path = tmp_path / "tank.csv"
-    path.write_text(text.replace(".", point), encoding="utf-8")
-    water = load_water(path)
-    for name in QUANTITIES:
-        np.testing.assert_allclose(getattr(water, name), getattr(TANK, name), rtol=1e-12)
+    for separator, point in ((",", "."), (";", ","), ("\t", ",")):
+        path.write_text(text.replace(",", separator).replace(".", point), encoding="utf-8")
+        water = load_water(path)
+        assert (water.name, water.provenance) == ("tank", ("a, b, K_d: tank.csv",))
+        for name in QUANTITIES:
+            np.testing.assert_allclose(getattr(water, name), getattr(TANK, name), rtol=1e-12)
 
 
 def test_absorption_and_attenuation_are_enough(tmp_path: Path) -> None:
@@ -407,19 +362,17 @@ def test_absorption_and_attenuation_are_enough(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("nm,a [dB/m],b,kd\n" + ROWS, "gives a in another unit than 1/m, or such as 1/cm"),
-        ("nm,a,b [cm],kd\n" + ROWS, "gives b in another unit"),
-        ("nm,a,b,kd (%)\n" + ROWS, "gives K_d in another unit"),
-        ("wavenumber [1/cm],a,b,kd\n" + ROWS, "wavelength in another unit than nm or µm"),
-        ("nm,Kd\n550,.2\n", "line 1: .*K_d or a Secchi depth alone .* contrast that is left"),
-        ("site,Secchi [m]\n1,5\n", "line 1: .*K_d or a Secchi depth alone"),
-        ("nm,a,c\n400,.5,.4\n", "b has 1 negative of 1 values, at 400 nm"),
-        ("nm,a,b,kd\n", "no rows of wavelength, a, b, K_d"),
-        ("nm,a,kd,b\n" + ROWS, "line 1: expected numbers wavelength, a, b, K_d"),
-        ("nm,a,beta,kd\n" + ROWS, "line 1: expected numbers"),
-        (ROWS + "710,1,2\n", "line 4: expected numbers"),
-        (ROWS + "710,1,-2,1\n", "b has 1 negative of 4 values, at 710 nm"),
-        (ROWS + "650,1,2,1\n", "strictly ascending, got 650 after 700"),
+        ("nm,a [dB/m],b,kd\n" + ROWS, "a in another unit"),
+        ("nm,a,b [cm],kd\n" + ROWS, "b in another unit"),
+        ("nm,a,b,kd (%)\n" + ROWS, "K_d in another unit"),
+        ("wavenumber [1/cm],a,b,kd\n" + ROWS, "wavelength in another unit"),
+        ("site,Secchi [m]\n1,5\n", "line 1: .*Secchi depth alone"),
+        ("nm,a,c\n400,.5,.4\n", "b has 1 negative"),
+        ("nm,a,b,kd\n", "no rows"),
+        ("nm,a,kd,b\n" + ROWS, "line 1"),
+        ("nm,a,beta,kd\n" + ROWS, "line 1"),
+        (ROWS + "710,1,2\n", "line 4"),
+        (ROWS + "650,1,2,1\n", "650 after 700"),
     ],
 )
 def test_bad_files(tmp_path: Path, text: str, message: str) -> None:
@@ -440,22 +393,9 @@ def test_water_by_name_and_contents() -> None:
     assert Water.from_constituents(**contents, name="harbour").name == "harbour"
 
 
-@pytest.mark.parametrize(
-    "water, error, message",
-    [
-        (7, TypeError, "water must be a Jerlov type, .* or a uwaug.Water, got 7"),
-        (
-            "7D",
-            ValueError,
-            "must be one of I, .*, 9C, .*, fjord, contents such as .*csv file; got '7D'",
-        ),
-        ("chlorophyll=1:5", ValueError, "one number for each content, got 'chlorophyll=1:5'"),
-        ("salt=3", ValueError, r"expected a water such as chlorophyll=5.*, got 'salt=3'"),
-        ("nowhere.csv", FileNotFoundError, r"nowhere\.csv"),
-    ],
-)
-def test_no_such_water(water: Any, error: type[Exception], message: str) -> None:
-    with pytest.raises(error, match=message):
+@pytest.mark.parametrize("water", [7, "7D", "chlorophyll=1:5", "salt=3", "nowhere.csv"])
+def test_no_such_water(water: Any) -> None:
+    with pytest.raises((TypeError, ValueError, FileNotFoundError), match=f"{water}"):
         load_water(water)
 
 

@@ -25,67 +25,45 @@ from uwaug.transforms import random_water
 from uwaug.transforms.appearance import water_features
 
 HEIGHT, WIDTH = 40, 52
-WATERS = 24
-ENGINE = 5  # of them, pictures too
+WATERS, PICTURES = 24, 5
+
+
+CONTENTS = {"chlorophyll": (0.1, 20), "cdom": (0.02, 3), "minerals": (0.02, 5)}
+OF_WATER = {
+    "contrast": (0.05, 0.9),
+    "vertical_depth": (0, 20),
+    "g": (0, 0.4),
+    "mu": (0, 0.6),
+    "color_matrix": (0, 1),
+}
+OF_CAMERA = {"exposure": (-2, 1), "white_balance": (-0.5, 1), "saturation": (0, 2), "gamut": (0, 1)}
+RANGES = {**CONTENTS, **OF_WATER, **OF_CAMERA, "pitch": (-40, 40), "blur": (0, 2)}
 
 
 def settings_of(rng: np.random.Generator) -> dict[str, Any]:
     types = list(uwaug.JERLOV_TYPES)
-    share = float(rng.choice([0.0, round(rng.uniform(), 2)]))
-    return {
-        "water": str(rng.choice([*types, *["contents"] * 6])),
-        "other": str(rng.choice(types)),
-        "share": share,
-        "chlorophyll": rng.uniform(0.1, 20),
-        "cdom": rng.uniform(0.02, 3),
-        "minerals": rng.uniform(0.02, 5),
-        "contrast": None if rng.uniform() < 0.2 else rng.uniform(0.05, 0.9),
-        "vertical_depth": rng.uniform(0, 20),
-        "pitch": rng.uniform(-40, 40),
-        "times": 10 ** rng.uniform(-1, 1),
-        "g": rng.uniform(0, 0.4),
-        "mu": rng.uniform(0, 0.6),
-        "blur": rng.uniform(0, 2),
-        "color_matrix": rng.uniform(),
-        "exposure": rng.uniform(-2, 1),
-        "white_balance": rng.uniform(-0.5, 1),
-        "saturation": rng.uniform(0, 2),
-        "gamut": rng.uniform(),
-        "tone": 1.0,
-        "full_well": 0,
-        "read_noise": 0,
-    }
+    settings: dict[str, Any] = {name: rng.uniform(*ends) for name, ends in RANGES.items()}
+    settings |= {"times": 10 ** rng.uniform(-1, 1), "tone": 1.0, "full_well": 0, "read_noise": 0}
+    settings["share"] = float(rng.choice([0.0, round(rng.uniform(), 2)]))
+    settings["water"] = str(rng.choice([*types, *["contents"] * 6]))
+    settings["other"] = str(rng.choice(types))
+    return settings | ({"contrast": None} if rng.uniform() < 0.2 else {})
 
 
 def twin_of(settings: dict[str, Any]) -> uwaug.RandomUnderwater:
     """The transform that the settings stand for."""
     water = f"{1 - settings['share']}*{settings['water']}+{settings['share']}*{settings['other']}"
     if settings["water"] == "contents":
-        names = ("chlorophyll", "cdom", "minerals")
-        water = ",".join(f"{name}={settings[name]}" for name in names)
+        water = ",".join(f"{name}={settings[name]}" for name in CONTENTS)
     elif not settings["share"]:
         water = settings["water"]
     law = uwaug.PointSpread.calibrated()
-    blur = uwaug.PointSpread(law.scale * settings["blur"], law.exponent, law.shape, law.unit)
+    blur = replace(law, scale=law.scale * settings["blur"])
+    of_water, of_camera = ({n: settings[n] for n in names} for names in (OF_WATER, OF_CAMERA))
     return uwaug.RandomUnderwater(
-        uwaug.RandomWater(
-            water,
-            contrast=settings["contrast"],
-            vertical_depth=settings["vertical_depth"],
-            g=settings["g"],
-            mu=settings["mu"],
-            field=None,
-            point_spread=blur,
-            color_matrix=settings["color_matrix"],
-        ),
+        uwaug.RandomWater(water, field=None, point_spread=blur, **of_water),
         light=uwaug.Light(pitch=settings["pitch"]),
-        development=uwaug.RandomDevelopment(
-            settings["exposure"],
-            white_balance=settings["white_balance"],
-            saturation=settings["saturation"],
-            gamut=settings["gamut"],
-            tone=settings["tone"],
-        ),
+        development=uwaug.RandomDevelopment(**of_camera, tone=settings["tone"]),
     )
 
 
@@ -117,6 +95,12 @@ class Page:
     def __call__(self, expression: str) -> Any:
         return json.loads(self.engine.eval(f"JSON.stringify({expression})"))
 
+    def twin(self, settings: dict[str, Any]) -> Any:
+        """Distances and setting of the package."""
+        twin, maps = twin_of(settings), self.distance.double() * settings["times"]
+        scenes = twin.scenes(self.image, maps, twin.make_params(self.image))
+        return scenes.z, scenes.scenes[0]
+
     def use(self, settings: dict[str, Any]) -> None:
         self.engine.eval(f"var s = {json.dumps(settings)}, water = waterTable(scene, s, tables);")
         self.engine.eval("var gain = gainOf(scene, water, s, tables)")
@@ -137,10 +121,7 @@ def test_waters_are_those_of_the_package(page: Page, every_band: None) -> None:
     rng = np.random.default_rng(0)
     for _ in range(WATERS):
         settings = settings_of(rng)
-        twin = twin_of(settings)
-        maps = page.distance.double() * settings["times"]
-        scenes = twin.scenes(page.image, maps, twin.make_params(page.image))
-        z, (scene,) = scenes.z, scenes.scenes
+        z, scene = page.twin(settings)
         medium = scene.setting.medium
         page.use(settings)
         assert page("water.depth") == pytest.approx(
@@ -166,13 +147,10 @@ def test_waters_are_those_of_the_package(page: Page, every_band: None) -> None:
 
 def test_pictures_are_those_of_the_package(page: Page, every_band: None) -> None:
     rng = np.random.default_rng(1)
-    for _ in range(ENGINE):
+    for _ in range(PICTURES):
         settings = settings_of(rng)
         settings["contrast"] = settings["contrast"] or 0.5
-        twin = twin_of(settings)
-        maps = page.distance.double() * settings["times"]
-        scenes = twin.scenes(page.image, maps, twin.make_params(page.image))
-        z, (scene,) = scenes.z, scenes.scenes
+        z, scene = page.twin(settings)
         setting = scene.setting
         development = setting.development
         medium = setting.medium.in_pixels((z.shape[-2], z.shape[-1]), setting.view)

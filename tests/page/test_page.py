@@ -97,6 +97,8 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
     quiet = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking"]
     with pytest.MonkeyPatch.context() as patch, sync_playwright() as playwright:
         patch.chdir(folder)
+        command("page --out bundled.html")
+        assert Path("bundled.html").stat().st_size < 3.6e6  # small enough to mail
         command("page --image photo.png --distance depth.png --unit mm --out page.html")
         browser = playwright.chromium.launch(executable_path=program, args=quiet)
         tab = browser.new_page(viewport={"width": 1300, "height": 900})
@@ -121,30 +123,29 @@ def test_the_name_of_a_file_does_not_leave_its_script(small: Any, tmp_path: Path
     assert json.loads(re.findall(r'"picture":("[^"]*u003c[^"]*")', pages[1])[0]) == name
 
 
-SETTINGS: list[dict[str, Any]] = [
-    {"water": "II", "contrast": 0.2, "vertical_depth": 6, "tone": 1.5, "color_matrix": 0.7},
-    {"water": "3C", "other": "7C", "share": 0.4, "gamut": 1, "saturation": 1.3, "exposure": -1},
-    {"water": "9C", "nature": 1, "g": 0.1, "mu": 0.1, "blur": 2, "times": 0.5},
-    {"water": "contents", "chlorophyll": 9, "cdom": 0.3, "white_balance": 0.8},
-]
-
-
-@pytest.mark.parametrize("settings", SETTINGS)
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"water": "3C", "other": "7C", "share": 0.4, "gamut": 1, "saturation": 1.3, "exposure": -1},
+        {"water": "9C", "nature": 1, "g": 0.1, "mu": 0.1, "blur": 2, "times": 0.5, "tone": 1.5},
+        {"water": "contents", "chlorophyll": 9, "white_balance": 0.8, "color_matrix": 0.7},
+    ],
+)
 def test_pictures_are_those_of_what_is_copied(shown: Shown, settings: dict[str, Any]) -> None:
     shown.set(**settings)
     command(shown.code().removeprefix("uwaug ") + " --force")
-    off = np.abs(shown.picture() - pixels("wet.png"))
+    off = np.abs(shown.picture() - pixels("wet/photo.png"))
     # `degrade` plans its blur to .002, the page to .0005
     assert (off > 2).mean() < 1e-3
     assert off.max() <= 5
     assert np.sqrt(((off / 255) ** 2).mean()) < 0.002
-    told = pixels("wet.png")
+    told = pixels("wet/photo.png")
     exec(shown.code("Python"), {})
     assert np.array_equal(pixels("wet.png"), told)
     Path("this.toml").write_text(shown.code("TOML"))
     line = shown.code("TOML").splitlines()[0].removeprefix("# uwaug ")
     command(f"{line} --force")
-    assert np.array_equal(pixels("wet.png"), told)
+    assert np.array_equal(pixels("wet/photo.png"), told)
 
 
 def test_controls(shown: Shown) -> None:
@@ -203,22 +204,6 @@ def test_each_water_is_as_in_nature_unless_asked(shown: Shown) -> None:
     assert shown.tab.inner_text("#as") == "all of the same clarity"
 
 
-def test_all_that_is_pressed_is_24_px_high_and_wide(shown: Shown) -> None:
-    shown.set(water="contents")
-    shown.tab.eval_on_selector("details", "details => details.open = true")
-    for width in (360, 1440):
-        shown.tab.set_viewport_size({"width": width, "height": 800})
-        boxes = shown.tab.eval_on_selector_all(
-            "button, input, select, summary, [tabindex]",
-            """all => all.filter(one => one.checkVisibility()).map(one => {
-                const { width, height } = one.getBoundingClientRect();
-                return [one.id || one.textContent, width, height]; })""",
-        )
-        assert len(boxes) > 50
-        assert [box for box in boxes if min(box[1:]) < 24] == []
-        assert shown.tab.evaluate("document.documentElement.scrollWidth") <= width
-
-
 def test_a_real_picture_beside_and_a_draw_that_looks_like_it(shown: Shown) -> None:
     before = shown.picture()
     shown.set(water="contents", chlorophyll=8, cdom=0.8, white_balance=0, contrast=0.1)
@@ -254,7 +239,7 @@ def test_own_files(shown: Shown) -> None:
         file.save_as(file.suggested_filename)
     assert "photo-scene.png --distance photo-scene.npy" in shown.code()
     command(shown.code().removeprefix("uwaug ") + " --force")
-    assert (np.abs(shown.picture() - pixels("wet.png")) > 2).mean() < 1e-3
+    assert (np.abs(shown.picture() - pixels("wet/photo-scene.png")) > 2).mean() < 1e-3
     assert shown.take("depth.png") == ""  # the map of the picture before
     assert np.abs(shown.picture() - first).max() <= 1  # the page's own copy of the same
     metres = pixels("depth.png").astype(np.float32) / 1000
@@ -286,8 +271,3 @@ def test_own_files(shown: Shown) -> None:
     assert shown.tab.eval_on_selector("#without", choose) == "true"  # from then on
     shown.wait()
     assert "--distance 3" in shown.code()
-
-
-def test_a_page_of_the_bundled_scene_is_small_enough_to_mail(tmp_path: Path) -> None:
-    command(f"page --out {tmp_path / 'page.html'}")
-    assert (tmp_path / "page.html").stat().st_size < 3.6e6

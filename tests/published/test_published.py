@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,6 @@ import torch
 from referees import reference, systems
 from referees.systems import LINEAR, SPECTRAL, Scene
 
-import uwaug
 from uwaug import JERLOV_TYPES, Lamp, Medium, PointSpread, Underwater, Water, published
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.published.equation import OTHER_NAMES, BandedWater
@@ -18,7 +18,7 @@ from uwaug.published.models import SLURPP, UWCNN
 
 CHANNELS = {"hou-2020", "li-2020", "slurpp-2025"}
 BLURRED = {"mcglamery-1980", "jaffe-1990", "schechner-2004", "ismiroglou-2025"}
-LAMPS = {"mcglamery-1980", "jaffe-1990"}
+LAMPS = ("mcglamery-1980", "jaffe-1990")
 SEEN = torch.linspace(0.02, 0.98, 3 * 12 * 16, dtype=torch.float64)[torch.randperm(576)]
 IMAGE = SEEN.reshape(3, 12, 16)
 Z = torch.linspace(0.2, 9, 12 * 16, dtype=torch.float64).reshape(1, 12, 16).flip(2)
@@ -26,6 +26,8 @@ Z = torch.linspace(0.2, 9, 12 * 16, dtype=torch.float64).reshape(1, 12, 16).flip
 
 def test_oldest_first_each_public_with_its_source_and_what_is_ours():
     names = published.systems()
+    for other, own in OTHER_NAMES.items():
+        assert published.system(other.lower()) is published.system(own)
     assert {*SPECTRAL, *CHANNELS} == set(names)
     assert {name.replace("-", "_") for name in names} < set(published.__all__)
     years = [int(name.rpartition("-")[2]) for name in names]
@@ -38,12 +40,6 @@ def test_oldest_first_each_public_with_its_source_and_what_is_ours():
         assert "Source: " in text
         assert "Ours: " in text
         assert re.search(r"doi:10\.|arXiv:|CVPR", text)
-
-
-@pytest.mark.parametrize(("name", "own"), OTHER_NAMES.items())
-def test_other_names_find_the_same_system(name, own):
-    for spelt in (name, name.lower()):
-        assert published.system(spelt) is published.system(own)
 
 
 def plane(depth: float, size: tuple[int, int]) -> torch.Tensor:
@@ -74,7 +70,7 @@ def test_equations_of_spectra(name, water):
         assert error.abs().max() < 1e-12
 
 
-@pytest.mark.parametrize("water", JERLOV_TYPES)
+@pytest.mark.parametrize("water", ["I", "7C"])
 def test_equations_of_channels(water):
     def column(*values: float) -> torch.Tensor:
         return torch.tensor(values, dtype=torch.float64)[:, None, None]
@@ -139,10 +135,10 @@ def test_lius_artificial_light_is_summed_along_the_ray():
 # ------------------------------------------------------------------- figures of the sources
 
 
-@pytest.mark.parametrize("type", JERLOV_TYPES)
-def test_what_mcglamery_asks_of_G(type):
-    water = Water.jerlov(type).at(reference.BANDS)
-    assert (water.kd >= water.a + 0.05 * water.b).all()
+def test_what_mcglamery_asks_of_G():
+    for type in JERLOV_TYPES:
+        water = Water.jerlov(type).at(reference.BANDS)
+        assert (water.kd >= water.a + 0.05 * water.b).all()
 
 
 def test_hous_transmissions_follow_the_sources_rule():
@@ -204,34 +200,31 @@ def test_draws_are_of_each_picture_within_the_range_and_repeat(name):
 
 
 @pytest.mark.parametrize(
-    ("call", "message"),
+    ("function", "arguments", "words"),
     [
-        (lambda: published.system("jaffe"), "system must be one of mcglamery-1980, jaffe-1990"),
-        (lambda: published.li_2020(IMAGE, Z, "11C"), "water must be one of I, IA, IB"),
-        (lambda: published.slurpp_2025(IMAGE, Z, random_water()), "water must be one of I"),
-        (lambda: published.liu_2022(IMAGE, Z, light="lamp"), "light must be one of uniform"),
-        (lambda: published.jaffe_1990(255 * IMAGE, Z), "divide a 0…255 image by 255"),
-        (lambda: published.hou_2020(IMAGE, -Z), "expected metres ≥ 0"),
-        (lambda: published.hou_2020(IMAGE, Z[:, 1:]), "height and width must agree"),
-        (lambda: published.hou_2020(IMAGE[:1], Z), "(3, H, W)"),
-        (lambda: published.augment("nobody-1999"), "system must be one of"),
-        (lambda: published.system("UWCN"), "UWCNN, RUIG, RSUIGM, STSR, SLURPP, got 'UWCN'"),
+        (published.system, ("jaffe",), "system must be one of mcglamery-1980, jaffe-1990"),
+        (published.augment, ("nobody-1999",), "system must be one of"),
+        (published.li_2020, (IMAGE, Z, "11C"), "water must be one of I, IA, IB"),
+        (published.slurpp_2025, (IMAGE, Z, random_water()), "water must be one of I"),
+        (partial(published.liu_2022, light="lamp"), (IMAGE, Z), "light must be one of uniform"),
+        (published.jaffe_1990, (255 * IMAGE, Z), "image.*divide"),
+        (published.hou_2020, (IMAGE, -Z), "z.*metres ≥ 0"),
+        (published.hou_2020, (IMAGE, Z[:, 1:]), "height and width must agree"),
+        (published.hou_2020, (IMAGE[:1], Z), "image must have shape"),
     ],
 )
-def test_what_is_refused(call, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        call()
+def test_what_is_refused(function, arguments, words):
+    with pytest.raises(ValueError, match=words):
+        function(*arguments)
 
 
 def test_a_system_in_a_pipeline():
     image, z = IMAGE.float(), Z.float()
     fixed = published.augment("akkaynak-2018", water="7C", vertical_depth=3.0)
     expected = published.akkaynak_2018(image, z, "7C", vertical_depth=3.0)
-    result, map, label = fixed((image, z, 7))
+    result, *others = fixed((image, z, 7))
     assert torch.equal(result, expected)
-    assert map is z
-    assert label == 7
-    assert torch.equal(fixed(image, z)[0], expected)
+    assert others == [z, 7]
     named = published.augment("akkaynak-2018", keys=("rgb", "z"), water="7C", vertical_depth=3.0)
     assert torch.equal(named({"rgb": image, "z": z})["rgb"], expected)
     drawn = published.augment("ueda-2019")
@@ -240,13 +233,11 @@ def test_a_system_in_a_pipeline():
     torch.manual_seed(1)
     assert torch.equal(first, drawn(image, z)[0])
     assert not torch.equal(first, second)
-    assert repr(fixed) == "_Augment('akkaynak-2018', water='7C', vertical_depth=3.0)"
     with pytest.raises(TypeError, match="li-2020 has no 'camera', only water, vertical_depth"):
         published.augment("li-2020", camera="Nikon 5100 (NPL)")
-    assert uwaug.published is published
 
 
-@pytest.mark.parametrize("name", ["mcglamery-1980", "jaffe-1990"])
+@pytest.mark.parametrize("name", LAMPS)
 def test_lamps_have_a_colour(name):
     image, z = torch.full((3, 12, 16), 0.5), torch.full((1, 12, 16), 1.5)
     lamp = Lamp((-0.3, -0.2, 0.0), 3.0, cone=60.0)

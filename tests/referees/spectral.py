@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from referees import reference
 from uwaug.optics.water import Water
 
 _options = np.get_printoptions()
@@ -88,22 +87,3 @@ def curves(
         column = -np.expm1(-G * z) / G if G > 0 else z
         veil += np.multiply.outer(seen * water.glow[n], column)
     return direct, signal, veil
-
-
-def terms(
-    J: Array, z: Array, water: Water61, camera: Eye, sigma: Array
-) -> tuple[Array, Array, Array]:
-    """Direct, forward and backscattered light of a picture (3xHxW), each a sum of monochrome
-    pictures.
-    """
-    _, h, w = J.shape
-    blurred = reference.varying_gaussian(J, sigma).reshape(3, h, w)
-    direct, forward, veil = np.zeros((3, 3, h, w))
-    for n in range(61):
-        seen = camera.matrix @ camera.sensor[:, n]
-        near, far = np.exp(-water.beta[n] * z), np.exp(-water.G[n] * z)
-        sharp, soft = (np.tensordot(camera.basis[:, n], x, 1) for x in (J, blurred))
-        direct += np.multiply.outer(seen, water.light[n] * near * sharp)
-        forward += np.multiply.outer(seen, water.light[n] * (far - near) * soft)
-        veil += np.multiply.outer(seen, water.glow[n] * -np.expm1(-water.G[n] * z) / water.G[n])
-    return direct, forward, veil

@@ -33,7 +33,8 @@ def distance() -> Tensor:
 
 
 def target(boxes: Any = (NEAR, FAR, BOTH)) -> dict[str, Any]:
-    rows = torch.tensor(boxes).reshape(-1, 4)
+    rows = torch.as_tensor(boxes)
+    rows = rows if rows.numel() else rows.reshape(0, 4)
     count = len(rows)
     return {
         "boxes": rows,
@@ -93,13 +94,40 @@ def test_distances_are_found_once() -> None:
     assert len(calls) == 1
 
 
-def test_masks_decide_where_there_are_any() -> None:
-    masks = torch.zeros(3, H, W, dtype=torch.uint8)
-    masks[0, 5:10, 50:55] = 1  # far, whatever its box says
-    masks[1, 5:10, 2:6] = 1
-    found = KEEP(image(), distance(), {**target(), "masks": masks})[2]
-    assert found["labels"].tolist() == [11]
-    assert torch.equal(found["masks"], masks[1:2])
+MASKS = torch.zeros(3, H, W, dtype=torch.uint8)
+MASKS[0, 5:10, 50:55] = MASKS[1, 5:10, 2:6] = 1  # the first is far, whatever its box says
+TURNED = torch.tensor([[14.0, 5, 24, 20, 14, 35, 4, 20], [46, 2, 58, 20, 46, 38, 34, 20]])
+OUTSIDE = [[-30.0, -30.0, -5.0, -5.0], [3.0, 3.0, 3.0, 9.0], [-9.0, -9.0, 6.0, 6.0]]
+ROWS = {"track": [5, 6, 7], "other": torch.arange(3)}
+APART = ("image_id", "other", "labels", "area")
+KEPT: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
+    # options, entries, and those that are left
+    "masks": ({}, {"masks": MASKS}, {"labels": [11], "masks": MASKS[1:2].tolist()}),
+    "turned boxes": ({}, target(TURNED), {"labels": [10], "boxes": TURNED[:1].tolist()}),
+    "none": ({}, target([]), {"labels": [], "boxes": [], "contrast": []}),
+    "outside of the picture": ({}, target(OUTSIDE), {"labels": [12]}),
+    "lists and arrays": (
+        {},
+        {"labels": ["a", "b", "c"], "iscrowd": np.array([0, 0, 1])},
+        {"labels": ["a", "c"], "iscrowd": [0, 1]},
+    ),
+    "flags": ({"flag": True}, {}, {"iscrowd": [0, 1, 0], "labels": [10, 11, 12]}),
+    "flags of crowds": ({"flag": True}, {"iscrowd": [1, 0, 0]}, {"iscrowd": [1, 1, 0]}),
+    "rows by name": (
+        {"along": ("boxes", "track"), "apart": APART},
+        ROWS,
+        {"track": [5, 7], "other": [0, 1, 2], "labels": [10, 11, 12]},
+    ),
+    "rows where nothing is dropped": ({"min_contrast": 0.0}, ROWS, {"track": [5, 6, 7]}),
+}
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_what_is_left_of_targets(name: str) -> None:
+    options, entries, expected = KEPT[name]
+    *_, found = KeepVisible(AUGMENT, **options)(image(), distance(), target() | entries)
+    for key, value in expected.items():
+        assert (found[key] if isinstance(found[key], list) else found[key].tolist()) == value
 
 
 def test_the_draws_are_those_of_the_augmentation_alone() -> None:
@@ -145,62 +173,6 @@ def test_structures() -> None:
     assert isinstance(listed, list)
 
 
-def test_lists_and_arrays_keep_their_kind() -> None:
-    given = target() | {"labels": ["a", "b", "c"], "iscrowd": np.array([0, 0, 1])}
-    found = KEEP(image(), distance(), given)[2]
-    assert found["labels"] == ["a", "c"]
-    assert found["iscrowd"].tolist() == [0, 1]
-
-
-def test_only_the_entries_named_have_rows() -> None:
-    more = {"track": np.array([5, 6, 7]), "other": torch.arange(3)}
-    apart = ("image_id", "other", "labels", "area")
-    keep = KeepVisible(AUGMENT, 0.05, along=("boxes", "track"), apart=apart)
-    found = keep(image(), distance(), target() | more)[2]
-    assert found["track"].tolist() == [5, 7]
-    assert found["other"] is more["other"]
-    assert len(found["labels"]) == 3
-
-
-def test_rows_of_entries_that_nobody_has_named() -> None:
-    given = target() | {"track_ids": [1, 2, 3]}
-    with pytest.raises(
-        ValueError, match=r"target\['track_ids'\] seems to have a row for each object"
-    ):
-        KEEP(image(), distance(), given)
-    along = (*KEEP.along, "track_ids")
-    assert KeepVisible(AUGMENT, along=along)(image(), distance(), given)[2]["track_ids"] == [1, 3]
-    apart = (*KEEP.apart, "track_ids")
-    assert KeepVisible(AUGMENT, apart=apart)(image(), distance(), given)[2]["track_ids"] == [
-        1,
-        2,
-        3,
-    ]
-    assert len(KeepVisible(AUGMENT, 0.0)(image(), distance(), given)[2]["boxes"]) == 3
-
-
-def test_flags_in_place_of_removal() -> None:
-    keep = KeepVisible(AUGMENT, 0.05, flag=True)
-    found = keep(image(), distance(), target())[2]
-    assert found["iscrowd"].tolist() == [0, 1, 0]
-    assert len(found["boxes"]) == 3
-    assert found["contrast"][1] < 0.05
-    crowd = torch.tensor([1, 0, 0])
-    assert keep(image(), distance(), target() | {"iscrowd": crowd})[2]["iscrowd"].tolist() == [
-        1,
-        1,
-        0,
-    ]
-
-
-def test_nothing_there_and_nothing_of_it_there() -> None:
-    found = KEEP(image(), distance(), target([]))[2]
-    assert found["boxes"].shape == (0, 4)
-    assert found["contrast"].shape == (0,)
-    outside = [[-30.0, -30.0, -5.0, -5.0], [3.0, 3.0, 3.0, 9.0], [-9.0, -9.0, 6.0, 6.0]]
-    assert KEEP(image(), distance(), target(outside))[2]["labels"].tolist() == [12]
-
-
 @pytest.mark.parametrize("form", ["XYXY", "XYWH", "CXCYWH"])
 def test_tv_tensors_in_a_pipeline(torchvision: Any, form: str) -> None:
     v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
@@ -240,12 +212,14 @@ def test_keys_draw_the_same_and_copies_are_alike() -> None:
         ({"labels": torch.arange(2)}, r"target\['labels'\] has 2 rows for 3 objects"),
         (
             {"boxes": torch.tensor([[20.0, 5.0, 9.0, 30.0]] * 3)},
-            r"\['boxes'\] end before they begin: .* for \(x, y, width, height\) give torchvision's",
+            r"\['boxes'\] end before they begin: give corners in px",
         ),
         (
             {"boxes": torch.tensor([[0.1, 0.2, 0.5, 1.0]] * 3)},
-            r"\['boxes'\] lie in 0…1: expected px, so multiply by width and height",
+            r"\['boxes'\] lie in 0…1: multiply by width and height",
         ),
+        ({"boxes": torch.rand(3, 5)}, r"be \(N, 4\) or \(N, 8\), got \(3, 5\)"),
+        ({"track": [1, 2, 3]}, r"target\['track'\] seems to have a row for each object"),
         (
             {"masks": torch.ones(3, 4, 5)},
             r"target\['masks'\] must be \(N, 40, 60\), got \(3, 4, 5\)",
@@ -268,12 +242,3 @@ def test_other_refusals() -> None:
         KeepVisible(0.05)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"min_contrast must be in \[0, 1\]"):
         KeepVisible(AUGMENT, 5)
-
-
-def test_boxes_that_are_turned() -> None:
-    corners = torch.tensor([[14.0, 5, 24, 20, 14, 35, 4, 20], [46, 2, 58, 20, 46, 38, 34, 20]])
-    kept = KEEP(image(), distance(), {"boxes": corners, "labels": torch.arange(2)})[2]
-    assert kept["labels"].tolist() == [0]
-    assert torch.equal(kept["boxes"], corners[:1])
-    with pytest.raises(ValueError, match=r"got \(3, 5\): of rotated boxes give corners .* 'masks'"):
-        KEEP(image(), distance(), {"boxes": torch.rand(3, 5), "labels": torch.arange(3)})

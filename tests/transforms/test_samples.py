@@ -114,7 +114,7 @@ def test_a_second_picture_stays_dry_for_no_one_in_silence(torchvision: Any, kind
     aug = RandomUnderwater(distance=3.0)
     for sample in ({"image": left, "stereo": [right]}, (left, {"stereo": [right]})):
         where = r"sample\['stereo'\]\[0\]" if isinstance(sample, dict) else r"\[1\]\['stereo'\]"
-        with pytest.raises(ValueError, match=rf"{where}.* is a second picture.* make_params"):
+        with pytest.raises(ValueError, match=rf"{where}.* is a second picture"):
             aug(sample)
     clean = right.as_subclass(Tensor)
     assert aug({"image": left, "clean": clean})["clean"] is clean

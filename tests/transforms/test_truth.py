@@ -8,7 +8,15 @@ import torch
 from augmenting import distances, picture
 from torch import Tensor
 
-from uwaug import MarineSnow, RandomDevelopment, RandomLight, RandomUnderwater, RandomWater
+from uwaug import (
+    MarineSnow,
+    PointSpread,
+    RandomDevelopment,
+    RandomLight,
+    RandomUnderwater,
+    RandomWater,
+    form_image,
+)
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms.truth import Truth
 
@@ -47,12 +55,41 @@ def test_maps_and_gain_rebuild_the_picture(name: str, index: int) -> None:
         assert truth.coefficients is None
 
 
+GREY = {"color_matrix": None, "field": None}
+
+
+def test_signal_is_what_arrives_directly_and_what_is_blurred() -> None:
+    """By another way, the terms of `form_image`; the share of all light is none of fine detail."""
+    aug = RandomUnderwater(RandomWater("1C", **GREY), light=None, development=CAMERA)
+    scenes = aug.scenes(picture(), 3 * distances(), aug.make_params(picture()))
+    truth, medium = scenes.truth(), scenes.scenes[0].setting.medium
+    assert truth is not None
+    terms = form_image(truth.clean, truth.z, medium)
+    white = form_image(torch.ones_like(truth.clean), truth.z, medium)
+    torch.testing.assert_close(truth.direct, white.direct)
+    torch.testing.assert_close(truth.transmission, white.direct + white.forward)
+    off = truth.signal - truth.direct * truth.clean - terms.forward
+    assert off.square().mean().sqrt() < 2e-3  # blurs of two plans
+    assert (truth.signal / truth.transmission - truth.clean).abs().max() > 0.1
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_without_blur_signal_over_transmission_is_the_scene(even: bool) -> None:
+    law = PointSpread.calibrated() if even else PointSpread.none()
+    aug = RandomUnderwater(RandomWater("3C", point_spread=law, **GREY), development=CAMERA)
+    image = torch.full_like(picture(), 0.3) if even else picture()
+    truth = aug.scenes(image, 2 * distances(), aug.make_params(image)).truth()
+    assert truth is not None
+    torch.testing.assert_close(truth.signal / truth.transmission, truth.clean)
+    assert bool((truth.direct < truth.transmission).all())
+
+
 def test_a_picture_without_blur_is_rebuilt_by_three_coefficients() -> None:
     water = RandomWater("3C", g=1.0, color_matrix=None, field=None)
     _, truth = made(water=water, light=None)
     assert truth.coefficients is not None
     assert all(0 < part < 1 for part in truth.coefficients.ambient)
-    torch.testing.assert_close(truth.signal, truth.transmission * truth.clean)
+    torch.testing.assert_close(truth.direct, truth.transmission)
     c = {
         name: torch.tensor(numbers)[:, None, None]
         for name, numbers in truth.coefficients._asdict().items()

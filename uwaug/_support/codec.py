@@ -103,7 +103,6 @@ _TRUTH = {"true": True, "on": True, "yes": True, "false": False, "off": False, "
 
 
 def _scalar(name: str, value: Any, hints: tuple[Any, ...]) -> Any:
-    """Refuse a number, string or truth value of another type than a field has."""
     is_free = not name or not hints or Any in hints
     if is_free or not isinstance(value, (bool, int, float, str, NoneType)):
         return value
@@ -117,17 +116,11 @@ def _scalar(name: str, value: Any, hints: tuple[Any, ...]) -> Any:
     raise ValueError(f"{name} must be {words}, got {value!r:.80}")
 
 
-_IN_WORDS = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "a string",
-    NoneType: "none",
-}
+_IN_WORDS = {bool: "true or false", int: "a whole number", float: "a number"}
+_IN_WORDS |= {str: "a string", NoneType: "none"}
 
 
 def _scalar_type(hint: Any) -> type | None:
-    """Return the scalar that a field of a type is written with; None for a list or a table."""
     if isinstance(hint, str) or get_origin(hint) is os.PathLike or hint is os.PathLike:
         return str
     if getattr(hint, "__name__", "") in ("Tensor", "ndarray"):  # without PyTorch
@@ -152,7 +145,6 @@ def _kind_of(data: Mapping[str, Any], expected: tuple[type, ...]) -> type | None
 
 @cache
 def _members(kind: type) -> dict[str, tuple[type, ...]]:
-    """List the classes that each field of a dataclass may have, by name."""
     hints = get_type_hints(kind)
     return {field.name: _flat(hints[field.name]) for field in fields(kind) if field.init}
 
@@ -171,7 +163,6 @@ def _is_mapping(hint: Any) -> bool:
 
 
 def _is_expected(hint: Any) -> bool:
-    """True for a class that the codec writes, or whose subclasses it writes."""
     return isinstance(hint, type) and any(issubclass(kind, hint) for kind in _KINDS.values())
 
 

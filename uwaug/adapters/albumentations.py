@@ -60,8 +60,8 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         distance_key: name of the map (HxW) of image in a call; a pipeline needs it in
             `additional_targets={"distance": "mask"}`. The picture image2 has the map distance2;
             left has distance_left; `images` (NxHxWx3) have `distances` (NxHxW, of kind "masks").
-            AlbumentationsX moves further masks only beside a mask: where there is none, give the
-            map as the mask, by "mask". No map is needed where `augment` makes distances.
+            AlbumentationsX moves further masks only beside a mask: without one, give the map as
+            the mask, by "mask". No map is needed where `augment` makes distances.
         scale: metres per unit of a map, such as .001 for mm.
         channels: order of the picture's colours; "bgr" with OpenCV and Ultralytics.
         min_contrast: contrast below which boxes of `image` go, with their labels, as those of
@@ -147,7 +147,6 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         return result
 
     def _distance(self, name: str, single: bool, targets: Mapping[str, Any]) -> Tensor:
-        """Map of a single picture (1xHxW), or maps of several (Nx1xHxW), m."""
         key = self.distance_key
         key = name.replace("image", key, 1) if "image" in name else f"{key}_{name}"
         source, kind = ("MadeUp()", "mask") if single else ("(1, 5)", "masks")
@@ -155,7 +154,7 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
             cure = f"pass a map, or say RandomUnderwater(distance={source})"
             raise ValueError(f"{key} is missing, for {name}: {cure}")
         if self._in_pipeline and key not in self._moved:
-            cure = f"give A.Compose(…, additional_targets={{{key!r}: {kind!r}}})"
+            cure = f"A.Compose(…, additional_targets={{{key!r}: {kind!r}}})"
             raise ValueError(f"{key} would not move with {name}: {cure}")
         values = np.squeeze(targets[key]) * self.scale
         return torch.from_numpy(values.astype(np.float32)).unsqueeze(-3)
@@ -163,7 +162,6 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
     def _degraded(
         self, img: NDArray[Any], record: Record, distance: Tensor | None
     ) -> tuple[NDArray[Any], Scenes]:
-        """Degrade a picture, or the frames of a film (NxHxWx3)."""
         step = -1 if self.channels == "bgr" else 1
         has_16_bits = img.dtype == np.uint16
         img = img / np.float32(65535) if has_16_bits else img

@@ -35,7 +35,6 @@ def reported_errors() -> Iterator[None]:
 
 
 def _with_flag(message: str) -> str:
-    """The message, with a flag for the argument that it begins with, if that flag was given."""
     name = message.partition(" ")[0].rstrip(":")
     flag = f"--{name.replace('_', '-')}"
     is_given = any(word.partition("=")[0] == flag for word in sys.argv)

@@ -20,14 +20,13 @@ def from_relative(
             *inverse* depth instead: see `from_inverse`.
         near, far: metres at t = 0 and at t = 1, 0 ≤ near ≤ far < inf; numbers, or tensors that
             broadcast against `t`, such as (B, 1, 1, 1).
-        gamma: exponent, > 0; a number or such a tensor. Above 1 the middle distance is nearer.
+        gamma: exponent, > 0; likewise. Above 1 the middle distance is nearer.
 
     Returns:
-        Metres, shape of `t` (broadcast). Below t = 1e-6, t^gamma is straight: its gradient stays
-        finite.
+        Metres, shape of `t` (broadcast); straight below t = 1e-6, so that gradients are finite.
 
     Raises:
-        ValueError: `t` leaves [0, 1], or `near`, `far`, `gamma` are out of range.
+        ValueError: a number is out of range.
 
     Examples:
         >>> from_relative(torch.tensor([[0.0, 0.5, 1.0]]), near=1.0, far=5.0, gamma=2.0)
@@ -48,8 +47,8 @@ def from_relative(
 def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> Tensor:
     """Scale inverse relative depth, as monocular networks give it (near = large), to metres.
 
-    Networks predict 1/z up to an unknown scale *and* shift. Each map is normalised by its least and
-    largest value to s in [0, 1], and 1/z = 1/far + (1/near − 1/far)·s.
+    Each map is normalised by its least and largest value to s in [0, 1], as networks predict 1/z up
+    to scale and shift, and 1/z = 1/far + (1/near − 1/far)·s.
 
     Args:
         inverse: (..., H, W), any scale and shift; NaN or infinite = unknown.
@@ -78,8 +77,7 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
     flat = ~(largest > least)
     if bool(flat.any()):
         got = f"{first_bad_map(flat)} that is constant or has no finite value"
-        cure = "scale whole maps before they are cropped"
-        raise ValueError(f"inverse must vary within each map, got {got}: {cure}")
+        raise ValueError(f"inverse must vary within each map, got {got}: scale before you crop")
     # halves, whose difference no pair of finite values can make infinite
     low = least / 2
     s = (torch.where(finite, inverse / 2, low) - low) / (largest / 2 - low)
@@ -90,7 +88,7 @@ def from_disparity(
     disparity: Tensor, focal_px: float, baseline_m: float, offset_px: float = 0.0
 ) -> Tensor:
     """Turn the disparity of a rectified stereo pair into depth along the optical axis:
-    focal·baseline / (disparity + offset). `along_ray` turns that into distance.
+    focal·baseline / (disparity + offset).
 
     Args:
         disparity: (..., H, W), pixels. NaN or infinite = unknown; so is 0, without an offset.

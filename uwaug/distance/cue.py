@@ -78,9 +78,7 @@ def decoded(features: list[Tensor], convolve: Convolve) -> Tensor:
 
 
 def small_copy(picture: Tensor) -> Tensor:
-    """Shrink a picture (3xHxW) to some `PIXELS`, with sides that are multiples of 32, on the host.
-    Whites stay as they were.
-    """
+    """Shrink a picture (3xHxW) to some `PIXELS`, on the host; its sides are multiples of 32."""
     scale = math.sqrt(PIXELS / picture[0].numel())
     sides = [min(max(32 * round(side * scale / 32), 32), 512) for side in picture.shape[1:]]
     every = max(1, int(0.5 / scale))  # two samples along each side of a small pixel will do

@@ -39,8 +39,8 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
     Args:
         distance: (..., H, W), metres; +inf is open water, and known. Fill maps before cropping.
         behind: for depth cameras, whose holes are shadows that edges throw, and all beyond the
-            range. A hole is filled from the farther side of its rim, the middle of a wide one with
-            the farthest distance there.
+            range: fill from the farther side of a rim, and the middle of wide holes with the
+            farthest distance there.
 
     Returns:
         Shape of `distance`; differentiable in the known pixels, with their choice held fixed.
@@ -49,7 +49,7 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
         ValueError: a map has no known pixel.
 
     Warns:
-        UserWarning: once in a process, if more than 20 % of a map is unknown without `behind`.
+        UserWarning: once, if more than 20 % of a map is unknown without `behind`.
 
     Examples:
         >>> fill_unknown(torch.tensor([[2.0, 2.0, 2.0, 2.0, 0.0, 0.0, 3.0, 3.0, 3.0, 3.0]]))
@@ -64,12 +64,12 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
     shares = unknown.flatten(-2).double().mean(-1)
     empty = shares == 1
     if bool(empty.any()):
-        got = f"{first_bad_map(empty)} without any: fill whole maps before they are cropped"
-        raise ValueError(f"distance must have a known pixel (above 0 m) in each map, got {got}")
+        got = f"{first_bad_map(empty)} without any: fill before you crop"
+        raise ValueError(f"distance must have a known pixel in each map, got {got}")
     percent = round(100 * float(shares.max()))
     if not behind and percent > 100 * _GUESSED_SHARE:
-        cure = "depth cameras want holes 'behind', open water wants 'far'"
-        _guess_warning.warn(f"distance is unknown at {percent} % of a map, and guessed: {cure}")
+        got = f"distance is unknown at {percent} % of a map, and guessed"
+        _guess_warning.warn(f"{got}: depth cameras want holes 'behind', open water wants 'far'")
     sources_of = _from_behind if behind else _from_nearest
     size = distance.shape[-2:]
     maps, holes = distance.reshape(-1, *size), unknown.reshape(-1, *size)

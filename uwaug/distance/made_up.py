@@ -8,12 +8,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import ndimage
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
 from uwaug._support import checks, codec
-from uwaug._support.compiled import kept, wanted
+from uwaug._support.compiled import are_loaded, kept, wanted
 from uwaug._support.nouns import Drawn
 from uwaug._support.ranges import Range
 from uwaug.distance import cue
@@ -41,9 +40,8 @@ class MadeUp(Placed):
 
     A small network in the package guesses what is nearer than what, and where open water is, such
     as sky. An exponent, a smooth field, and the presence of open water (in three of four) are
-    drawn. Open water lies at the far end, where the water hides it; it is endless where near and
-    far are given, or the water is brought to a contrast. That teaches that water hides far things
-    more than near ones. It is no truth to restore or measure by.
+    drawn. Open water lies at the far end; it is endless where near and far are given, or a
+    contrast. It is no truth to restore or measure by.
 
     Attributes:
         near, far: see `Placed`; near above 0.
@@ -92,9 +90,11 @@ def _varied(log: Any, is_open: Any, rng: np.random.Generator) -> Any:
     """Draw relative distances (HxW), alike to the left and the right: 0 near, 1 far, `_OPEN` open
     water; from their logarithms, up to scale and shift, and probabilities of open water.
     """
+    from scipy.ndimage import label
+
     height, width = log.shape
     openness = np.clip((is_open - _OPEN_FROM) / (_OPEN_TO - _OPEN_FROM), 0, 1)
-    patches, _ = ndimage.label(openness > 0)
+    patches, _ = label(openness > 0)
     shares = np.bincount(patches.ravel()) / patches.size
     openness[shares[patches] < _LEAST_OPEN_SHARE] = 0
     closed = rng.uniform() > _OPEN_PROBABILITY or (is_open > _SURE).mean() < _LEAST_OPEN_SHARE
@@ -138,7 +138,6 @@ def _guided(values: Floats, colours: Floats) -> Floats:
 
 @cache
 def _box(size: int) -> Floats:
-    """Matrix that takes means over windows of a line."""
     places = np.arange(size)
     window = abs(places[:, None] - places) <= _GUIDE_PX
     box: Floats = (window / window.sum(1, keepdims=True)).astype(np.float32)
@@ -146,12 +145,11 @@ def _box(size: int) -> Floats:
 
 
 def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
-    """Put the colours of a picture (3xHxW) into `lines` (4xhxw), brought to its size; 0…highest."""
     is_read = picture.is_cpu and picture.dtype in (torch.uint8, torch.float32)
-    if is_read and wanted() and (loop := _compiled()):
+    if is_read and are_loaded() and wanted():
         result = np.empty(picture.shape[1:], np.float32)
         places = [_places(*sides) for sides in zip(lines.shape[1:], picture.shape[1:], strict=True)]
-        loop(lines, picture.numpy(), *places, np.float32(highest), result)
+        _compiled()(lines, picture.numpy(), *places, np.float32(highest), result)
         return torch.from_numpy(result)
     weights = torch.from_numpy(lines).to(picture.device)[None]
     large = interpolate(weights, picture.shape[1:], mode="bilinear")[0]
@@ -160,7 +158,6 @@ def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
 
 
 def _places(small: int, large: int) -> tuple[Any, Floats]:
-    """Pixel of a small line before the middle of each pixel of a large one, and the way beyond."""
     places = ((np.arange(large) + 0.5) * (small / large) - 0.5).clip(0, small - 1)
     before = np.minimum(places.astype(np.int64), max(small - 2, 0))
     return before, (places - before).astype(np.float32)
@@ -168,11 +165,7 @@ def _places(small: int, large: int) -> tuple[Any, Floats]:
 
 @cache
 def _compiled() -> Any:
-    """The compiled `_enlarge`, if there is numba."""
-    try:
-        return kept(_enlarge)
-    except ImportError:
-        return None
+    return kept(_enlarge)
 
 
 def _enlarge(lines: Any, picture: Any, rows: Any, columns: Any, highest: Any, out: Any) -> None:

@@ -1,5 +1,6 @@
 """Distances from a monocular depth network."""
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -33,12 +34,9 @@ _LONGEST = 4  # short sides that a side of the input measures at most
 class Network(Source):
     """Monocular depth network, for pictures without maps, or to call.
 
-    Where pictures come again, keep its maps in files (`uwaug depth`). A network of the Hugging Face
-    hub is fetched once, at the first call.
-
     An ONNX file takes one picture, (1, 3, h, w), of floating point, and gives (1, h', w') or
-    (1, 1, h', w') first. It opens at the first call, with as many threads as torch has there; each
-    DataLoader worker opens its own.
+    (1, 1, h', w') first. It opens, or is fetched from the Hugging Face hub, at the first call, with
+    as many threads as torch has there. Where pictures come again, keep its maps (`uwaug depth`).
 
     Attributes:
         model: path of an ONNX file; "depth-anything-v2-small" or "owner/name:file" of the hub; or a
@@ -49,8 +47,7 @@ class Network(Source):
         multiple: patch size, by which sides are divisible: 14 for Depth Anything, 32 for MiDaS.
         mean, std: the file gets (image − mean)/std of each channel, image in 0…1.
         providers: ONNX Runtime's execution providers.
-        revision: commit, branch or tag of the hub; by default one that was tried for a name, the
-            newest for "owner/name:file".
+        revision: commit, branch or tag of the hub; None: one that was tried, or the newest.
 
     Raises:
         FileNotFoundError: there is no such file, or the hub does not give it.
@@ -87,7 +84,7 @@ class Network(Source):
 
     @property
     def _opened(self) -> Session:
-        """The file's session. The hub is asked here: a preset of a stranger fetches nothing."""
+        # the hub is asked here: a preset of a stranger fetches nothing
         if self._session is None:
             path = Path(cast(str, self.model))
             path = path if path.is_file() else _fetched(str(self.model), self.revision)
@@ -107,8 +104,10 @@ class Network(Source):
     def has_size(self) -> bool:
         return self.holds.has_size
 
-    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> dict[str, Any]:
-        return {**drawn, "holds": self.holds.placed(drawn["holds"], metres_for)}
+    def placed(
+        self, drawn: Drawn, metres_for: Callable[[float], float], farthest: float = math.inf
+    ) -> dict[str, Any]:
+        return {**drawn, "holds": self.holds.placed(drawn["holds"], metres_for, farthest)}
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         guess = self(image / 255 if image.dtype == torch.uint8 else image)
@@ -128,7 +127,7 @@ class Network(Source):
             (B, 1, H, W) or (1, H, W), on the device of `image`; what `holds` says.
 
         Raises:
-            ValueError: `image` leaves [0, 1], or the file is no network that gives a map.
+            ValueError: `image` leaves [0, 1], or the file gives no map.
         """
         if callable(self.model):
             return self.model(image)
@@ -147,8 +146,8 @@ class Network(Source):
         channels, *sides = entry.shape[1:] if len(entry.shape) == 4 else [0, 0, 0]
         are_colours = channels in (3, None) or isinstance(channels, str)
         if not are_colours or entry.type not in _TYPES:
-            expected = "(1, 3, h, w) of floating point"
-            raise ValueError(f"{self.model} must take {expected}, got {entry.shape}, {entry.type}")
+            got = f"got {entry.shape}, {entry.type}"
+            raise ValueError(f"{self.model} must take (1, 3, h, w) of floating point, {got}")
         short, long = sorted(image.shape[-2:])
         scale = self.short_side / max(short, long / _LONGEST)
         size = []
@@ -161,14 +160,13 @@ class Network(Source):
         x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
         depth = session({entry.name: x.to(_TYPES[entry.type])}).float()
         if depth.ndim not in (3, 4) or depth.shape[:-2].numel() != 1:
-            expected = "(1, h, w) or (1, 1, h, w)"
-            raise ValueError(f"{self.model} must give {expected}, got {tuple(depth.shape)}")
+            got = f"got {tuple(depth.shape)}"
+            raise ValueError(f"{self.model} must give (1, h, w) or (1, 1, h, w), {got}")
         depth = depth.reshape(1, 1, *depth.shape[-2:])
         return interpolate(depth, image.shape[-2:], mode="bilinear", align_corners=False).to(image)
 
 
 def _address_of(model: str) -> tuple[str, str, str | None]:
-    """Repository, file and commit of a network on the hub; refuses what is no address."""
     address, tried = NAMED.get(model, (model, None))
     repository, _, file = address.partition(":")
     if repository.count("/") != 1 or not file:
@@ -178,12 +176,10 @@ def _address_of(model: str) -> tuple[str, str, str | None]:
 
 
 def _fetched(model: str, revision: str | None) -> Path:
-    """Fetch a file of the hub, once, into the cache of huggingface_hub and by its variables."""
     repository, file, tried = _address_of(model)
     (hub,) = require("hub", "huggingface_hub")
     try:
         return Path(hub.hf_hub_download(repository, file, revision=revision or tried))
     except Exception as error:  # of several libraries, without a common base
         reason = " ".join(str(error).split()) or type(error).__name__
-        got = f"{repository}:{file} could not be fetched: {reason}"
-        raise FileNotFoundError(f"{got}; or fetch it elsewhere and give its path") from error
+        raise FileNotFoundError(f"{repository}:{file} could not be fetched: {reason}") from error

@@ -24,17 +24,8 @@ def require_aspect(name: str, distance: Tensor, image: Tensor) -> None:
     """Refuse a map (…xhxw) of another aspect than its picture (…xHxW)."""
     size, other = tuple(distance.shape[-2:]), tuple(image.shape[-2:])
     if size != other and (0 in size or not same_aspect(size, other)):
-        got = f"{name} is {size} but image is {other}: height and width must agree, or their ratio"
-        raise ValueError(f"{got}: crop, turn and pad both alike")
-
-
-def size_in_words(size: Sequence[int], other: Sequence[int]) -> str:
-    """Tell what becomes of a map of another (height, width) than its picture."""
-    (h, w), (height, width) = size, other
-    cure = "of another aspect: is one of them turned or cropped?"
-    if same_aspect(size, other):
-        cure = "it is brought to the picture's size"
-    return f"a map is {w}×{h} px and its picture {width}×{height} px: {cure}"
+        got = f"{name} is {size} but image is {other}"
+        raise ValueError(f"{got}: height and width must agree, or their ratio: crop both alike")
 
 
 def brought_to(size: Sequence[int], z: Tensor) -> Tensor:
@@ -43,7 +34,9 @@ def brought_to(size: Sequence[int], z: Tensor) -> Tensor:
     """
     if z.shape[-2:] == tuple(size):
         return z
-    _size_warning.warn(size_in_words(z.shape[-2:], size), stacklevel=5)
+    (h, w), (height, width) = z.shape[-2:], size
+    got = f"a map is {w}×{h} px and its picture {width}×{height} px"
+    _size_warning.warn(f"{got}: it is brought to the picture's size", stacklevel=5)
     nearest = interpolate(z[None], list(size), mode="nearest-exact")[0]
     linear = interpolate(z[None], list(size), mode="bilinear")[0]
     # the four pixels around each corner

@@ -26,8 +26,8 @@ from uwaug.distance.unknown import (
 
 _Policy = Literal["error", "fill", "behind", "far"]
 Holes = _Policy | float
-"""Treatment of pixels without a distance: an error; a distance from around; one from behind, for
-depth cameras (see `fill_unknown`); open water; or a number of metres.
+"""Pixels without a distance: an error; filled from around, or from behind, for depth cameras (see
+`fill_unknown`); open water; or a number of metres.
 """
 
 NEAR_LEFT, FAR_LEFT = (0.25, 0.65), (0.005, 0.05)
@@ -57,23 +57,26 @@ class Source(Noun):
         """True if scenes are as large as they are, whatever the water."""
         return True
 
-    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> dict[str, Any]:
-        """The draw of a picture in its water, which leaves shares of contrast at so many m."""
+    def placed(
+        self, drawn: Drawn, metres_for: Callable[[float], float], farthest: float = math.inf
+    ) -> dict[str, Any]:
+        """The draw of a picture in its water, which leaves shares of contrast at so many metres; at
+        most `farthest` m large.
+        """
         return dict(drawn)
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
         """Compute the distances of a picture: metres above 0, or +inf for open water.
 
         Args:
-            distance (1xhxw tensor): the picture's map, of its aspect, if the source reads maps. The
-                result has its size.
+            distance (1xhxw tensor): the map, of the picture's aspect, if the source reads maps.
             image (3xHxW tensor): the picture; uint8, or floating point in 0…1.
             drawn: numbers that the picture has drawn, by name.
             view: focal_px (px of the picture), which planar maps need; and center, the pixel (x, y)
                 of the optical axis, or None for the middle.
 
-        Raises:
-            ValueError: if the map holds something else, or has holes without a treatment.
+        Returns:
+            1xhxw, of the map's size or the picture's. ValueError where a map holds something else.
         """
         raise NotImplementedError
 
@@ -85,9 +88,8 @@ class Metres(Source):
 
     Attributes:
         holes: treatment of NaN, 0 and negative distances, see `Holes`; of +inf that is scattered
-            among near pixels; and of stand-ins beyond 50 m, far from all others, such as 65.535 or
-            1000. With "error" a stand-in from 100 m on is open water, as are +inf, which is told
-            where it is scattered, and 1e7 m and more; a nearer stand-in stays, with a warning.
+            among near pixels; and of the largest number of a type, such as 65.535. With "error" all
+            from 100 m on is open water, as is 1e7 m; what is nearer stays, with a warning.
         planar: maps hold depth along the optical axis, as depth cameras and renderers write it.
     """
 
@@ -114,7 +116,11 @@ class Metres(Source):
                 z = torch.where(stand_in, torch.inf, z)
             z = torch.where(range_end(z), torch.inf, z)
         if self.planar:
-            focal_px = view.get("focal_px") or 0.0
+            focal_px: Any = view.get("focal_px")
+            if focal_px is None:
+                raise ValueError(
+                    "planar maps need the camera's view: give view= (--view, --focal-px)"
+                )
             checks.positive("focal_px", focal_px, "px")
             (h, w), (height, width) = z.shape[-2:], image.shape[-2:]
             x, y = view.get("center") or (width / 2, height / 2)
@@ -149,15 +155,18 @@ class Placed(Source):
     def has_size(self) -> bool:
         return self.near is not None and self.far is not None
 
-    def placed(self, drawn: Drawn, metres_for: Callable[[float], float]) -> dict[str, Any]:
+    def placed(
+        self, drawn: Drawn, metres_for: Callable[[float], float], farthest: float = math.inf
+    ) -> dict[str, Any]:
         if self.has_size:
             return dict(drawn)
         near, far = drawn.get("near"), drawn.get("far")
+        farthest = min(max(farthest, _LEAST_RATIO * _NEAREST_M[0]), _FARTHEST_M)
         if near is None:
-            near = min(max(metres_for(drawn["near_left"]), _NEAREST_M[0]), _NEAREST_M[1])
-            near = near if far is None else min(near, far / _LEAST_RATIO)
+            nearest = min(_NEAREST_M[1], (far or farthest) / _LEAST_RATIO)
+            near = min(max(metres_for(drawn["near_left"]), _NEAREST_M[0]), nearest)
         if far is None:
-            far = max(min(metres_for(drawn["far_left"]), _FARTHEST_M), _LEAST_RATIO * near)
+            far = max(min(metres_for(drawn["far_left"]), farthest), _LEAST_RATIO * near)
         return {**drawn, "near": near, "far": far}
 
 
@@ -169,8 +178,8 @@ class Relative(Placed):
     Attributes:
         near, far: see `Placed`.
         gamma: exponent; a number or (low, high).
-        holes: treatment of NaN and of stand-ins such as −1, see `Holes`; "error" only warns of 0,
-            which may be near. Let geometric transforms pad with NaN.
+        holes: treatment of NaN and of numbers alone such as −1, see `Holes`; "error" only warns of
+            0, which may be near. Let geometric transforms pad with NaN.
     """
 
     gamma: Range = number(1.0, 1e-3)
@@ -197,8 +206,8 @@ class Inverse(Placed):
 
     Attributes:
         near, far: see `Placed`; near above 0.
-        holes: treatment of NaN, infinite values, and stand-ins, see `Holes`; "error" only warns of
-            0, which may be the sky.
+        holes: treatment of NaN, infinity and numbers alone, see `Holes`; "error" only warns of 0,
+            which may be the sky.
     """
 
     holes: Holes = "error"
@@ -256,9 +265,6 @@ def require_ends(near: Range | None, far: Range | None) -> float:
 
 
 def _without_stand_ins(x: Tensor, holes: Holes) -> Tensor:
-    """Put NaN in place of stand-ins in a map of relative or inverse depth. With "error", refuse
-    them; but 0, which may be near or the sky, stays with a warning.
-    """
     alone = of_shares(x)
     if not bool(alone.any()):
         return x

@@ -1,7 +1,5 @@
-"""Stand-ins: numbers in maps that mean unknown, or sky.
-
-Several pixels hold exactly such a number, a gap away from all others. So do those of a facade that
-faces the camera: a number of metres must also look like a stand-in, as 65.535 or 1000 do.
+"""Stand-ins: numbers in maps that mean unknown, or sky. Several pixels hold exactly such a number:
+the largest of a type; a gap away from all others; or the end of a renderer's range.
 """
 
 import torch
@@ -12,11 +10,11 @@ NO_RANGE = 100.0  # m, from which on it is a renderer's sky, and no pixel that a
 
 _LEAST_PIXELS = 8  # that hold a stand-in: wild pixels differ from each other
 _LEAST_VALUES = 3  # that a map has besides
-# gap to all other values, as a share of the map's range; the wide one holds where a stand-in may
-# also be the nearest thing of a scene
+# gap to all other values, as a share of the map's range, of numbers below 0, and of the largest,
+# which may also be the nearest thing of a scene
 _GAP_SHARE, _WIDE_GAP_SHARE = 0.2, 0.8
 _ZERO_GAP_SHARE = 0.02  # above 0: a network's maps are stretched to 0 without a gap
-# largest numbers of 16 bits, in usual units (m), which need no gap
+# largest numbers of 16 bits, in usual units (m)
 _TYPE_ENDS_M = tuple(
     end * unit for end in (32767, 65504, 65535) for unit in (1.0, 0.1, 0.01, 0.001)
 )
@@ -27,23 +25,11 @@ _SCATTERED_SHARE = 0.3  # of the pixels with a distance, that touch infinity whe
 
 
 def of_metres(z: Tensor) -> Tensor:
-    """True where a map (1xHxW, m) holds a stand-in."""
-    top = float(torch.where(z.isfinite(), z.detach(), 0.0).amax())
-    is_end = any(abs(top - end) < 1e-5 * end for end in _TYPE_ENDS_M)
-    if top <= FARTHEST_SEEN or not (is_end or _is_round(top)):
+    """True where a map (1xHxW, m) holds the largest number of a type."""
+    top = float(torch.where(z.isfinite(), z.detach(), 0.0).amax()) if z.numel() else 0.0
+    if top <= FARTHEST_SEEN or not any(abs(top - end) < 1e-5 * end for end in _TYPE_ENDS_M):
         return torch.zeros_like(z, dtype=torch.bool)
-    return alone_of_metres(z, 0.0 if is_end else _GAP_SHARE)
-
-
-def alone_of_metres(z: Tensor, gap: float = _GAP_SHARE) -> Tensor:
-    """True where a map (1xHxW, m) holds its largest distance, if no other comes near that."""
-    return _alone(torch.where(z > 0, z, torch.nan), gap)
-
-
-def _is_round(metres: float) -> bool:
-    """True for a number of one or two digits, or of nines."""
-    digits = f"{metres:.6g}".replace(".", "").strip("0")
-    return len(digits) <= 2 or set(digits) == {"9"}
+    return _alone(torch.where(z > 0, z, torch.nan), 0.0)
 
 
 def of_shares(x: Tensor) -> Tensor:

@@ -54,8 +54,7 @@ def preset_case(name: str, preset: RandomUnderwater) -> Case:
     only = preset.module()
     if only.light is not None:
         raise ValueError(f"{name}: sheets of terms are by daylight, but it has a light of its own")
-    space, camera = only.color_space, only.development
-    module = Underwater(only.medium, None, color_space=space, development=camera)
+    module = Underwater.of(only.setting, None)
     setting = f"Preset {name}: {only.medium.notes[0]}"
     return Case(f"preset {name}", setting, module, preset.water.field or (1.0, 1.0))
 
@@ -119,7 +118,6 @@ def draw_terms(scene: Scene, case: Case) -> Image.Image:
 
 
 def _distance(z: Tensor) -> Cell:
-    """Distances (1xHxW, m) in colours, and what these mean; +inf is open water."""
     near, far = extent(z[z.isfinite()])
     beyond = "" if bool(z.isfinite().all()) else ", open water"
     return coloured(z, (near, max(far, near + 1e-3))), (
@@ -128,7 +126,6 @@ def _distance(z: Tensor) -> Cell:
 
 
 def _curves(medium: Medium, farthest: float) -> Tensor:
-    """The picture of a medium's curves."""
     from matplotlib.figure import Figure
 
     from uwaug.fitting.plot import draw_curves

@@ -106,7 +106,6 @@ def _fitted(picture: Tensor, size: tuple[int, int]) -> Image.Image:
 
 
 def _written(text: str, width: int, letters: int, colour: str) -> Image.Image:
-    """Lines of text, smaller where they would be wider than that."""
     text = text.replace("×", "x")
     text = "".join(c if c.isascii() or c in _LETTERS else "?" for c in text)
     lines = text.splitlines()

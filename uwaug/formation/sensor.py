@@ -24,8 +24,7 @@ class Sensor(Seeded):
 
     White light at the surface, 1, fills the well: light L frees N = full_well·L electrons, which
     are read with the variance N + read_noise². Exposure, white balance and saturation come after
-    and multiply the noise with the light, as ISO does: a deep, far or turbid scene that is made
-    bright is noisy.
+    and multiply the noise with the light, as ISO does.
 
     A pixel of the sensor holds 3 000 to 60 000 electrons, with a read noise of 1 to 5; a pixel that
     stands for n of them holds n times as many, with √n times the read noise. Not modelled:

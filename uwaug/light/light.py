@@ -53,8 +53,7 @@ class Lamp:
         position: m.
         power: brightness of a white plate at 1 m in air, ≥ 0; 1 is daylight at the surface.
         aim: direction of the axis, of any length.
-        cone: half-angle, degrees, 1…90; the light fades over its outer half. None shines to all
-            sides.
+        cone: half-angle, degrees, 1…90; the light fades over its outer half. None: to all sides.
         color: light in the channels of the picture, each ≥ 0.
 
     Raises:
@@ -235,11 +234,9 @@ def _straight(water: Medium, z: Tensor) -> Tensor:
 
 
 def _summed(rates: Tensor, weights: Tensor, length: Tensor) -> Tensor:
-    """Sum Σ weight·e^(−rate·length) of three channels (Bx3xHxW) over lengths (Bx1xHxW, m)."""
     sums = weights @ decay(rates[..., None], length.flatten(2))
     return torch.unflatten(sums, -1, length.shape[-2:])
 
 
 def _dimmed(T: Tensor, light: Tensor) -> Tensor:
-    """Multiply transmittances by light of each channel of the picture, or of all."""
     return T * light if T.ndim == 4 else T * light[:, :, None]

@@ -39,7 +39,7 @@ class Camera(Spectra):
 
     Raises:
         TypeError, ValueError: if an array is no such spectrum, a channel responds to nothing, or
-            the matrix cannot be inverted, or a row of it has no positive sum.
+            the matrix cannot be inverted or scaled.
 
     Examples:
         >>> Camera([450, 550, 600], [[0, 0, 1], [0, 1, 0], [1, 0, 0]], name="laser lines")
@@ -123,7 +123,7 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
 @lru_cache(maxsize=16)
 def response_at(camera: Camera, axis: bytes) -> Array:
     """Weights (3, N) of a camera at wavelengths, given as an array's bytes; rows sum to 1."""
-    return camera.weights(np.frombuffer(axis)).T
+    return np.ascontiguousarray(camera.weights(np.frombuffer(axis)).T)
 
 
 # Smallest share of a channel's response that must lie where the water has spectra. At 400–600 nm it
@@ -139,8 +139,7 @@ def require_covered(camera: Camera, low: float, high: float) -> None:
     for channel, share in zip(_CHANNELS, shares, strict=True):
         if share < _MIN_COVERED_SHARE:
             covered = f"{share:.0%} of what {channel} of camera {camera.name!r} sees"
-            cure = "give spectra for more of 400–700 nm"
-            raise ValueError(f"water covers {low:g}–{high:g} nm, {covered}: {cure}")
+            raise ValueError(f"water covers {low:g}–{high:g} nm, {covered}")
 
 
 def _matrix(values: ArrayLike) -> Array:

@@ -140,7 +140,6 @@ class Constituents(Noun):
 
 
 def _text(value: Range) -> str:
-    """Shortest text that reads as the same number, or range."""
     numbers = value if isinstance(value, tuple) else (value,)
     return ":".join(repr(number).removesuffix(".0") for number in numbers)
 

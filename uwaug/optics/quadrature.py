@@ -28,8 +28,7 @@ def reduce_rates(rates: Array, weights: Array, tolerance: float) -> Reduced:
     """Replace sums over all bands by sums over as few shared rates as `tolerance` allows.
 
     The rates are the nodes of the Gauss quadrature (Golub & Welsch 1969) of all measures taken
-    together, on the logarithm of the rates, as distances spread over decades. (On the rates
-    themselves, 90 media of the ten types need 693 rates where these need 499.) The weights fit each
+    together, on the logarithm of the rates, as distances spread over decades. The weights fit each
     curve by least squares over the logarithm of distance, exact at z = 0. A curve without negative
     weights gets none.
 

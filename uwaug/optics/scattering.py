@@ -12,7 +12,7 @@ from uwaug.optics.constituents import pure_water
 
 _LOSS = 1 - 0.924  # 1 − ⟨cos θ⟩ of the phase function that g = .05 is calibrated to
 _BRIGHTENING = 0.8  # of rays that rise, see `uwaug.light.direction`
-_TABLE_DEGREES = 1.0, 170.0  # at which a table begins at the latest, ends at the earliest
+_FIRST_DEGREES, _LAST_DEGREES = 1.0, 170.0  # a table begins at the latest, ends at the earliest
 _LEAST_ANGLE = 1e-8  # rad
 _NODES = 20_001  # of integrals over the logarithm of the angle
 _HARBOUR, _HARBOUR_NM = ("NUC 2200", "NUC 2040", "NUC 2240"), 514.0
@@ -28,9 +28,8 @@ class Scattering:
         g = .05·(1 − ⟨cos θ⟩)/.076,   μ = (⟨(1 − .64 sin²θ)^(−3/2)⟩ − 1 + g)/2.083.
 
     * g: light that is scattered by a little still carries the picture, so G = a + g·b. By Monte
-      Carlo transport g goes with (1 − ⟨cos θ⟩)^1.05, within 12 % (`python -m benchmarks physics`);
-      the factor is that of `PointSpread.calibrated`. Beside the phase function it rises with a·z,
-      to the power .31.
+      Carlo transport g goes with (1 − ⟨cos θ⟩)^1.05, within 12 % (`python -m benchmarks physics`),
+      and with (a·z)^.31; the factor is that of `PointSpread.calibrated`.
     * μ: of a level ray in daylight whose radiance rises with s = sin(elevation) as (1 − .8 s)^−2,
       the law of `uwaug.light.direction`, relative to a white vertical plate there. In light that is
       alike from all sides μ would be g. By Monte Carlo transport of an overcast sky with Petzold's
@@ -64,13 +63,15 @@ class Scattering:
         """
         degrees, values = np.array(angles, float), np.array(values, float)
         if degrees.ndim != 1 or degrees.shape != values.shape or len(degrees) < 2:
-            got = f"{degrees.shape} and {values.shape}"
-            raise ValueError(f"angles and values must be two rows of one length, got {got}")
-        first, last = _TABLE_DEGREES
-        rises = degrees[0] >= 0 and bool((np.diff(degrees) > 0).all()) and degrees[-1] <= 180
-        if not (rises and degrees[0] <= first and degrees[-1] >= last):
-            got = f"{degrees[0]:g} to {degrees[-1]:g}"
-            raise ValueError(f"angles must rise from ≤ {first:g}° to {last:g}…180°, got {got}")
+            raise ValueError(
+                f"angles and values must be rows (N), got {degrees.shape}, {values.shape}"
+            )
+        first, last = degrees[[0, -1]]
+        rises = bool((np.diff(degrees) > 0).all())
+        if not (rises and 0 <= first <= _FIRST_DEGREES and _LAST_DEGREES <= last <= 180):
+            got = f"{first:g} to {last:g}"
+            expected = f"from 0…{_FIRST_DEGREES:g}° to {_LAST_DEGREES:g}…180°"
+            raise ValueError(f"angles must rise {expected}, got {got}")
         if not (np.isfinite(values).all() and values.min() > 0):
             raise ValueError("values must be finite and above 0")
         at, logs = np.log(np.radians(degrees).clip(_LEAST_ANGLE)), np.log(values)
@@ -127,7 +128,6 @@ Scattering.PAPER = Scattering(g=0.2, mu=0.3)
 
 
 def _of(phase: Array) -> Scattering:
-    """Of a phase function, 1/sr, at `_nodes`."""
     shares, angle, k = _shares(phase), _nodes(), _BRIGHTENING**2
     g = 0.05 * float(shares @ (2 * np.sin(angle / 2) ** 2)) / _LOSS
     # mean radiance on the cone at θ about the ray, and of the plate, in that of the level ray
@@ -144,12 +144,10 @@ def _shares(phase: Array) -> Array:
 
 
 def _nodes() -> Array:
-    """Angles, rad, from straight ahead to straight back."""
     return np.geomspace(_LEAST_ANGLE, np.pi, _NODES)
 
 
 def _petzold(station: str | None) -> tuple[Array, Array]:
-    """Angles, degrees, and values of `Scattering.petzold`."""
     import jerlov
 
     if station is not None:
@@ -164,7 +162,6 @@ def _petzold(station: str | None) -> tuple[Array, Array]:
 
 
 def _fournier_forand(angle: Array, n: float, slope: float) -> Array:
-    """The phase function, 1/sr, at angles in rad."""
     v, half = (3 - slope) / 2, np.sin(angle / 2) ** 2
     delta, back = (4 / (3 * (n - 1) ** 2) * x for x in (half, 1.0))
     ahead = v * (1 - delta) - (1 - delta**v) + (delta * (1 - delta**v) - v * (1 - delta)) / half

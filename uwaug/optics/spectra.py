@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from uwaug._support.atomic import require_regular
 from uwaug._support.types import Array
@@ -64,9 +64,7 @@ def wavelength_axis(values: ArrayLike) -> Array:
     axis = _frozen_array("wavelengths", values)
     if axis.ndim != 1 or axis.size == 0:
         raise ValueError(f"wavelengths must be 1-D and not empty, got shape {axis.shape}")
-    if bad := np.count_nonzero(~np.isfinite(axis)):
-        raise ValueError(f"wavelengths must be finite, got {bad} NaN or infinite values")
-    drops = np.flatnonzero(np.diff(axis) <= 0)
+    drops = np.flatnonzero(~(np.diff(axis) > 0))
     if drops.size:
         left, right = axis[drops[0] : drops[0] + 2]
         raise ValueError(f"wavelengths must be strictly ascending, got {right:g} after {left:g}")
@@ -82,18 +80,12 @@ def spectrum(name: str, values: ArrayLike, axis: Array, channels: tuple[int, ...
     expected = (*axis.shape, *channels)
     if array.shape != expected:
         raise ValueError(f"{name} must have shape {expected}, as wavelengths, got {array.shape}")
-    nonfinite = ~np.isfinite(array)
-    _refuse(name, nonfinite, axis, "NaN or infinite", "fill them or leave these wavelengths out")
-    _refuse(name, array < 0, axis, "negative", "set measurement noise to 0")
+    for fault, bad in (("NaN or infinite", ~np.isfinite(array)), ("negative", array < 0)):
+        if bad.any():
+            nm = axis[bad.reshape(axis.size, -1).any(axis=1)]
+            places = ", ".join(f"{at:g}" for at in nm[:8]) + (", …" if nm.size > 8 else "")
+            raise ValueError(f"{name} has {bad.sum()} {fault} of {bad.size} values, at {places} nm")
     return array
-
-
-def _refuse(name: str, bad: NDArray[np.bool_], axis: Array, fault: str, cure: str) -> None:
-    if not bad.any():
-        return
-    nm = axis[bad.reshape(axis.size, -1).any(axis=1)]
-    places = ", ".join(f"{at:g}" for at in nm[:8]) + (", …" if nm.size > 8 else "")
-    raise ValueError(f"{name} has {bad.sum()} {fault} of {bad.size} values, at {places} nm: {cure}")
 
 
 _NO_LETTER = re.compile(r"[\W\d]")
@@ -112,8 +104,8 @@ def read_spectra(
         path: path of the file. Commas separate cells; or semicolons or tabs, beside which decimal
             commas are read, too.
         tables: name of each spectrum, and a word that may stand for it, of each table that a header
-            may announce; without one it is the first. The cells of a header begin with one of both,
-            in any case: "b [1/m]" and "scattering", while "beta" and "bb" are something else.
+            may announce; without one it is the first. Cells of a header begin with one of both, in
+            any case: "b [1/m]" and "scattering", but not "beta" or "bb".
         per_metre: spectra are rates, in 1/m or in the units of the header, such as cm^-1.
         cure: end of the error where the first line is of no such table.
 
@@ -163,7 +155,6 @@ def read_spectra(
 
 
 def _announces(cells: Sequence[str], spectra: Mapping[str, str]) -> bool:
-    """True if each cell begins with the name of its spectrum, or the word that stands for it."""
     words = [_NO_LETTER.split(cell.strip().lower(), 1)[0] for cell in cells]
     pairs = zip(words, spectra.items(), strict=False)
     is_whole = len(words) == len(spectra)

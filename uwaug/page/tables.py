@@ -19,7 +19,7 @@ from uwaug.optics.jerlov import IN_WORDS, JERLOV_TYPES
 from uwaug.optics.point_spread import LENGTHS, PointSpread
 from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.surfaces import reflectances
-from uwaug.optics.view import WIDE
+from uwaug.optics.view import WIDE, WIDE_DEGREES
 from uwaug.optics.water import CONTRAST_THRESHOLD, LEAST_LOSS, Water, eye
 from uwaug.transforms import random_water
 from uwaug.transforms.appearance import WATER_FEATURES
@@ -85,7 +85,7 @@ def tables() -> dict[str, Any]:
         "reflectance": _REFLECTANCE,
         "dimmest": random_water.DIMMEST,
         "much": random_water.MOST_CONTENTS,
-        "direction": {"view": WIDE.degrees, "rise": direction.RISE, "most": direction.MAX_RISE},
+        "direction": {"view": WIDE_DEGREES, "rise": direction.RISE, "most": direction.MAX_RISE},
         "meter": {
             "count": development.METERED,
             "looks": SAMPLED,
@@ -114,7 +114,6 @@ def tables() -> dict[str, Any]:
 
 
 def _cue() -> dict[str, Any]:
-    """The network of `uwaug.distance.cue`: shape of each kernel, all numbers in turn as float16."""
     layers = cue.learnt()
     numbers = torch.cat([part.flatten() for layer in layers.values() for part in layer])
     return {
@@ -127,7 +126,6 @@ def _cue() -> dict[str, Any]:
 
 
 def _plan(plan: BlurPlan) -> dict[str, Any]:
-    """Blurs of a plan but for σ = 0, as kernels of one axis that repeat every q px."""
     slope, offset = place_line(plan)
     nodes = zip(plan.sigmas, plan.cells, strict=True)
     blurs = [_blur(sigma, cell, plan.reach) for sigma, cell in nodes if sigma > 0]
@@ -150,7 +148,6 @@ def _blur(sigma: float, cell: float, reach: float) -> dict[str, Any]:
 
 
 def _draws() -> dict[str, Any]:
-    """Ranges from which `RandomUnderwater` draws by default."""
     water, development = RandomWater(), RandomDevelopment()
     return {
         "waters": [w if isinstance(w, str) else "contents" for w in random_water.WATERS],
@@ -170,7 +167,6 @@ def _draws() -> dict[str, Any]:
 
 
 def _rounded(value: Any) -> Any:
-    """Round numbers to eight digits, as many as single precision holds."""
     if isinstance(value, dict):
         return {name: _rounded(item) for name, item in value.items()}
     if isinstance(value, list):

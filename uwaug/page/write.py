@@ -53,7 +53,6 @@ def _text(name: str) -> str:
 
 
 def _plain(*names: str) -> str:
-    """Join modules into one script: browsers load no modules for a page that is a file."""
     return re.sub(r"^export ", "", "\n".join(map(_text, names)), flags=re.MULTILINE)
 
 
@@ -63,7 +62,6 @@ def _json(value: Any) -> str:
 
 
 def _stored(scene: Scene) -> dict[str, Any]:
-    """Encode picture and distances, these in equal steps of their logarithm."""
     pixels = (scene.image * 255).round().byte().permute(1, 2, 0).numpy()
     webp = io.BytesIO()
     Image.fromarray(pixels).save(webp, "WEBP", lossless=True)

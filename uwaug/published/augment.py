@@ -12,7 +12,7 @@ from uwaug.published.equation import system
 class _Augment(nn.Module):
     def __init__(self, name: str, keys: tuple[str, str], options: dict[str, Any]) -> None:
         super().__init__()
-        self.name, self.keys, self.options = name, keys, options
+        self.keys, self.options = keys, options
         self._degrade = system(name)
         parameters = inspect.signature(self._degrade).parameters
         for option in options:
@@ -26,9 +26,6 @@ class _Augment(nn.Module):
         image, distance, restore = take_apart(inputs, self.keys, True)
         random = {"generator": torch.default_generator} if self._draws else {}
         return restore(self._degrade(image, distance, **random, **self.options))
-
-    def extra_repr(self) -> str:
-        return ", ".join([repr(self.name), *(f"{k}={v!r}" for k, v in self.options.items())])
 
 
 def augment(

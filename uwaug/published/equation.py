@@ -63,7 +63,6 @@ def published(color_space: ColorSpace) -> Callable[[Equation], Equation]:
 
 
 def _opened(image: Tensor, z: Tensor, color_space: ColorSpace) -> tuple[Tensor, Tensor]:
-    """Check picture and map; return light (Bx3xHxW) and finite metres (Bx1xHxW)."""
     if not isinstance(image, Tensor) or image.dtype != torch.uint8:
         checks.floating("image", image, "; or uint8")
     checks.picture("image", image, 3)

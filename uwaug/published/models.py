@@ -43,10 +43,9 @@ def mcglamery_1980(
 
     Source: B. L. McGlamery, Proc. SPIE 0208 (1980) 221, doi:10.1117/12.958279; not at hand.
     Left open: the colours (it has one wavelength), and G and φ, which it fits, with a ≤ G ≤ K_d.
-    Ours: spectra and a camera; G = a + g·b, with a g that keeps that bound in all ten types at all
-    wavelengths; φ = 2π·.3 px·b̄ where the short side has 518 px; a `view` 60° wide.
-    The lamp's light L on the scene is color·cone·cos/r², and fades with G on its way, as in Monte
-    Carlo transport. The phase function is that of Henyey and Greenstein.
+    Ours: spectra and a camera; G = a + g·b, which keeps that bound in all ten types; φ = 2π·.3 px·b̄
+    where the short side has 518 px; a `view` 60° wide; the phase function of Henyey and Greenstein.
+    The lamp's light L on the scene is color·cone·cos/r², and fades with G on its way.
     """
     w = BandedWater.of(water, camera, z)
     G = w.a + g * w.b
@@ -101,11 +100,9 @@ def schechner_2004(
         I = e^(−βz)·L + B∞·(1 − e^(−βz)),  L = E·(J + (e^(−Gz) − e^(−βz))·PSF_z{J}),
         B∞ = μbE/β,  E = e^(−K_d·d)
 
-    Source: Y. Y. Schechner, N. Karpel, CVPR 2004, I-536, doi:10.1109/CVPR.2004.1315078; not at
-    hand.
+    Source: Y. Y. Schechner, N. Karpel, CVPR 2004, I-536, doi:10.1109/CVPR.2004.1315078 (not seen).
     Left open: colours, G, φ, and the veil, which the authors read from their pictures.
-    Ours: spectra and a camera, G = a + g·b, φ = 2π·.3 px·b̄ where the short side has 518 px, the
-    veil of a homogeneous water.
+    Ours: spectra and a camera, G and φ as in `mcglamery_1980`, the veil of a homogeneous water.
     """
     w = BandedWater.of(water, camera, z)
     G, E = w.a + g * w.b, torch.exp(-w.kd * vertical_depth)
@@ -154,9 +151,8 @@ def ueda_2019(
 
         I_c = J_c·t_c(d + z) + B_c·(t_c(d) − t_c(d + z)),  t_c(x) = ∫S_c·e^(−βx),  B_c random
 
-    Source: T. Ueda, K. Yamada, Y. Tanaka, ICIP 2019, 2115, doi:10.1109/ICIP.2019.8803195; equation
-    and range of the veil from an independent implementation
-    (github.com/Jacobs-University/ICIP6-Underwater-Image-Synthesis).
+    Source: T. Ueda, K. Yamada, Y. Tanaka, ICIP 2019, 2115, doi:10.1109/ICIP.2019.8803195, by
+    github.com/Jacobs-University/ICIP6-Underwater-Image-Synthesis, an independent implementation.
     Ours: a depth of 1 m; white daylight; the middle of the veil without a generator.
     """
     w = BandedWater.of(water, camera, z)
@@ -179,10 +175,9 @@ def hou_2020(
 
         I_c = J_c·t_c + B_c·(1 − t_c)
 
-    Source: G. Hou et al., IEEE Access 8 (2020) 122078, doi:10.1109/ACCESS.2020.3006359, from an
-    independent implementation (github.com/vismiroglou/SUID_data_generation), which has a smooth map
-    of transmissions. One number for each channel is from a table of arXiv:2509.15011.
-    Left open: the real picture.
+    Source: G. Hou et al., IEEE Access 8 (2020) 122078, doi:10.1109/ACCESS.2020.3006359, by
+    github.com/vismiroglou/SUID_data_generation, an independent implementation with a smooth map of
+    transmissions. One number for each channel is from a table of arXiv:2509.15011.
     Ours: a green-blue veil, a transmission of .35 in red, and the others by the source's rule,
     t_c = t_r^(b_c·B_r / (b_r·B_c)) with b = 1.62517 − .00113·λ/nm at 620, 540 and 450 nm.
     """
@@ -220,10 +215,9 @@ def li_2020(
         I_c = A_c·J_c·N_c^z + A_c·(1 − N_c^z),  A_c = 1.5·N_c^d,  d random in 3…5 m
 
     Source: C. Li, S. Anwar, F. Porikli, Pattern Recognition 98 (2020) 107038,
-    doi:10.1016/j.patcog.2019.107038; S. Anwar, C. Li, F. Porikli, arXiv:1807.03528; the authors'
-    script as copied in github.com/evysb/generate_image_underwater, where distances are a map of 0…1
-    times .5…15 m. Another implementation (github.com/deepxzy/underwater-image-synthesis-algorithm)
-    has .805 and .804 for red in I and IA.
+    doi:10.1016/j.patcog.2019.107038; arXiv:1807.03528; the authors' script as copied in
+    github.com/evysb/generate_image_underwater, where distances are a map of 0…1 times .5…15 m.
+    (github.com/deepxzy/underwater-image-synthesis-algorithm has .805 and .804 for red in I and IA.)
     Ours: the middle of the depths without a generator.
     """
     N = colour(_row(water, UWCNN), z)
@@ -431,9 +425,7 @@ def _revised(
     *,
     dims_scene: bool = True,
 ) -> Tensor:
-    """Picture J_c·∫S_c·E·e^(−βz) + ∫S_c·(bE/β)·(1 − e^(−βz)), with E = e^(−K_d·d); E = 1 on the
-    scene without `dims_scene`.
-    """
+    """As `akkaynak_2018`; E = 1 on the scene without `dims_scene`."""
     w = BandedWater.of(water, camera, z)
     E = torch.exp(-w.kd * vertical_depth)
     veil = w.b * E / w.beta

@@ -34,10 +34,10 @@ _JITTER = 1e-8  # variance added to each channel's: a constant one correlates wi
 
 
 def water_features(srgb: Values) -> dict[str, float]:
-    """Twelve numbers of a picture (HxWx3, sRGB, floating point 0…1), by name: means of CIE L*, a*,
-    b* and chroma; medians of L*, a*, b* where the veil is; log2 of the ratios of red to green and
-    of blue to green, in linear light; log2 of the ratio of the spreads of red and green, and their
-    correlation; "dark", the mean of the darkest green or blue nearby, which a veil lifts.
+    """Twelve numbers of a picture (HxWx3, sRGB, floating point 0…1): means of CIE L*, a*, b* and
+    chroma; medians of L*, a*, b* where the veil is; log2 of red and blue over green, in linear
+    light; log2 of the ratio of the spreads of red and green, and their correlation; the mean of the
+    darkest green or blue nearby, which a veil lifts.
     """
     from scipy.ndimage import minimum_filter
     from skimage.color import rgb2lab

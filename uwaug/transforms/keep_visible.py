@@ -32,17 +32,15 @@ class KeepVisible(SampleTransform):
         apart: names of the entries that belong to the picture, whatever their length.
 
     Inputs:
-        As for `augment`, one picture at a time. One dict holds the objects: the sample itself, or a
-        dict directly in it, such as torchvision's target. It has "boxes" (Nx4) or "masks" (NxHxW)
-        or both. Plain boxes are corners (x1, y1, x2, y2) in px, all four (Nx8) of boxes that are
-        turned; torchvision's `BoundingBoxes` say what they are. The same structure comes back, with
-        the rows of the objects that are left in a copy of that dict. "contrast" (N, float32) is
-        new; it is 0 of objects with no pixel in the picture.
+        As for `augment`, one picture at a time. One dict, the sample or directly in it, holds the
+        objects: "boxes" (Nx4) or "masks" (NxHxW) or both. Plain boxes are corners (x1, y1, x2, y2)
+        in px, all four (Nx8) of boxes that are turned; torchvision's `BoundingBoxes` say what they
+        are. The same structure comes back, with the rows that are left in a copy of that dict, and
+        "contrast" (N, float32), 0 of objects with no pixel in the picture.
 
     Raises:
-        TypeError, ValueError: as `augment`; if there is no such dict, or more than one; if an entry
-            has another number of rows, or as many and no name here; if boxes end before they begin,
-            or all lie in 0…1; or if the picture is a batch.
+        TypeError, ValueError: as `augment`; if there is not one such dict; if an entry has another
+            number of rows, or as many and no name here; if boxes are no corners in px.
 
     Examples:
         >>> import torch
@@ -81,12 +79,11 @@ class KeepVisible(SampleTransform):
         members = dict(enumerate(sample)) if isinstance(sample, (tuple, list)) else dict(sample)
         places = [place for place, member in members.items() if _has_objects(member)]
         if len(places) != 1:
-            expected = "one dict with 'boxes' or 'masks', the sample or directly in it"
-            raise ValueError(f"expected {expected}; found {len(places)}")
+            found = f"found {len(places)}"
+            raise ValueError(f"expected one dict with 'boxes' or 'masks' in the sample, {found}")
         return replaced(sample, places[0], self._visible(members[places[0]], contrast_map))
 
     def _visible(self, target: Mapping[str, Any], contrast_map: Tensor) -> Any:
-        """A copy of a target with only the objects that can be seen, by a map of contrast (HxW)."""
         contrast = _means(target, contrast_map).float().cpu()
         keep = contrast >= self.min_contrast
         changed: Any = copy.copy(target)
@@ -105,8 +102,8 @@ class KeepVisible(SampleTransform):
                     raise ValueError(f"target[{name!r}] has {count} rows for {len(keep)} objects")
                 changed[name] = _rows(value, keep)
             elif name not in names and count == len(keep) and not bool(keep.all()):
-                cure = "name it in along=…, or in apart=… if it is of the picture"
-                raise ValueError(f"target[{name!r}] seems to have a row for each object: {cure}")
+                got = f"target[{name!r}] seems to have a row for each object"
+                raise ValueError(f"{got}: name it in along=…, or in apart=… if it has not")
         changed["contrast"] = contrast[keep]
         return changed
 
@@ -125,13 +122,12 @@ def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
         masks = typed(torch.as_tensor(target["masks"]), Tensor).to(contrast_map.device) != 0
         if masks.shape[1:] != contrast_map.shape:
             height, width = contrast_map.shape
-            expected = f"(N, {height}, {width})"
-            raise ValueError(f"target['masks'] must be {expected}, got {tuple(masks.shape)}")
+            got = f"got {tuple(masks.shape)}"
+            raise ValueError(f"target['masks'] must be (N, {height}, {width}), {got}")
         return (masks * contrast_map).sum((-2, -1)) / masks.sum((-2, -1)).clamp(min=1)
     boxes = target["boxes"]
     if np.ndim(boxes) > 1 and np.shape(boxes)[-1] not in (0, 4, 8):
-        got = f"got {tuple(np.shape(boxes))}: of rotated boxes give corners (N, 8), or 'masks'"
-        raise ValueError(f"target['boxes'] must be (N, 4), {got}")
+        raise ValueError(f"target['boxes'] must be (N, 4) or (N, 8), got {tuple(np.shape(boxes))}")
     size: tuple[int, int] = (contrast_map.shape[0], contrast_map.shape[1])
     if np.shape(boxes)[1:] == (8,):
         polygons = typed(torch.as_tensor(boxes), Tensor).tolist()
@@ -143,10 +139,10 @@ def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
         boxes = convert_bounding_box_format(boxes, new_format="XYXY")
     corners = torch.as_tensor(boxes).reshape(-1, 4)
     if bool((corners[:, 2:] < corners[:, :2]).any()):
-        cure = "for (x, y, width, height) give torchvision's BoundingBoxes"
-        raise ValueError(f"target['boxes'] end before they begin: expected corners in px; {cure}")
+        cure = "give corners in px, or torchvision's BoundingBoxes"
+        raise ValueError(f"target['boxes'] end before they begin: {cure}")
     if len(corners) and 0 < float(corners.max()) <= 1 < max(contrast_map.shape):
-        raise ValueError("target['boxes'] lie in 0…1: expected px, so multiply by width and height")
+        raise ValueError("target['boxes'] lie in 0…1: multiply by width and height, to px")
     return means_over(corners.tolist(), contrast_map)
 
 
@@ -160,7 +156,6 @@ def means_over(boxes: Iterable[Sequence[float]], contrast_map: Tensor) -> Tensor
 
 
 def _rows(value: Any, keep: Tensor) -> Any:
-    """Some rows of a tensor (of its own class), an array or a list."""
     if isinstance(value, np.ndarray):
         return value[keep.numpy()]
     if not isinstance(value, Tensor):

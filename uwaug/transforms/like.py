@@ -20,15 +20,14 @@ from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres
 from uwaug.formation.colour import linear_to_srgb, require_values
 from uwaug.transforms.appearance import WATER_FEATURES, Values, water_features
-from uwaug.transforms.draws import Record, read_draws, uniform_of
+from uwaug.transforms.draws import Record, read_draws
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import typed
 
 _SHORT_SIDE_PX = 128  # of the pictures that are looked at
 
 # Shares of the draws that are new, and that lie between two good ones; the others try the best on
-# more pictures, as what is near on one may be so by what that picture shows. (Other shares, rounds
-# and numbers of draws kept: benchmarks/CHOICES.md, how constants were chosen.)
+# more pictures. (Other shares and numbers: benchmarks/CHOICES.md, how constants were chosen.)
 _NEW_SHARE, _BETWEEN_SHARE = 0.4, 0.2
 _LATER_SHARE = 0.4  # of the first photograph's tries, for each further one, which profits by them
 _PARENTS = 15  # best new draws, between which others are made
@@ -51,7 +50,7 @@ class Nearness(NamedTuple):
         kept, drawn: median distance of the kept draws, and of new ones, in standard deviations of
             photographs.
         doubt: what is off, in words, if even the draws for one of them are far; else empty.
-        of_each: median distance of the draws that were kept for each photograph.
+        of_each: `kept`, for each photograph.
     """
 
     kept: float
@@ -82,11 +81,11 @@ def _verdict(unlikeness: float) -> str:
 @codec.plain
 @dataclass(init=False, eq=False, repr=False)
 class UnderwaterLike(RandomUnderwater):
-    """A `RandomUnderwater` that picks water and development from a few that were kept, see `like`.
+    """A `RandomUnderwater` that picks water, light and development from a few, see `like`.
 
     Args:
-        kept: {"water": …, "light": …, "development": …}, as samples of `make_params` have them;
-            picked with equal weight. What they leave out is drawn for each picture.
+        kept: {"water": …, "light": …, "development": …}, as of `make_params`. What they leave
+            out is drawn for each picture.
         nearness: of the kept draws to the photographs; not in `to_dict`.
 
     Raises:
@@ -108,7 +107,7 @@ class UnderwaterLike(RandomUnderwater):
         self.kept, self.nearness = kept, nearness
         if not self.kept:
             raise ValueError("kept: expected at least one, got none")
-        sample = super()._sample(uniform_of(0))
+        sample = super()._sample(Uniform(bytes(8)))
         for draws in self.kept:
             read_draws({"samples": [_with_kept(sample, draws)]}, 1, self._nouns)
 
@@ -131,22 +130,20 @@ def like(
     veil. They look alike; which water it is, `uwaug.fit` says.
 
     Args:
-        reference: photographs taken under water, one or several (3xHxW, a batch, a list or an
-            iterator), in sRGB even where `augment` takes linear light. `keep` draws are kept of
-            each, so that each picture looks like one of them, picked at random.
-        pictures: some of your own, taken in air, as varied as your data set (the same). Four to
-            eight will do.
-        distance: their maps (1xHxW, the same), as `augment` reads them; None where it reads none.
+        reference: photographs taken under water (3xHxW, a batch, a list or an iterator), in sRGB
+            even where `augment` takes linear light.
+        pictures: four to eight of your own, taken in air, as varied as your data set.
+        distance: their maps (1xHxW), as `augment` reads them; None where it reads none.
         augment: from which to draw; by default `RandomUnderwater()`, or without maps
             `RandomUnderwater(distance=MadeUp())`.
-        draws: pictures that are made for the first reference, of which 300 take some 3 s; at least
-            15 times `keep`. Each further one takes less than a third of that.
-        keep: draws to keep.
+        draws: pictures that are made for the first reference, at least 15 times `keep`; 300 take
+            some 3 s. Each further one takes less than a third of that.
+        keep: draws to keep for each reference; a picture takes any of all.
         seed: of all random numbers.
 
     Returns:
-        A `RandomUnderwater` in every respect, whose draws are those kept. Medium field, particles,
-        noise and made-up distances are drawn anew for each picture.
+        A `RandomUnderwater` whose draws are those kept; field, particles, noise and made-up
+        distances are drawn anew for each picture.
 
     Raises:
         TypeError, ValueError: if an argument does not suit.
@@ -199,7 +196,7 @@ def like(
 
 
 class _Scene(NamedTuple):
-    """A small picture with its map, and the transform as its small view needs it."""
+    """A small picture with its map, and the transform in its view."""
 
     picture: Tensor
     metres: Tensor | None
@@ -227,7 +224,6 @@ class _Trials:
         return self.tried(_Draw(kept, first, []))
 
     def between(self, first: _Draw, second: _Draw) -> _Draw:
-        """A draw in the water of the first, with numbers between those of both."""
         mixed = self._mixed(first.sample, second.sample)
         return self.tried(_Draw(mixed, second.first + 1, []))
 
@@ -245,7 +241,6 @@ class _Trials:
         return mixed
 
     def tried(self, draw: _Draw) -> _Draw:
-        """The same draw, tried on one more picture."""
         scene = self.scenes[(draw.first + len(draw.features)) % len(self.scenes)]
         (sample,) = self.augment.make_params(scene.picture, self.generator)["samples"]
         params = {"samples": [_with_kept({**sample, "applied": True}, draw.sample)]}
@@ -256,7 +251,6 @@ class _Trials:
         return draw
 
     def best(self, pool: list[_Draw], photograph: Values, tries: float, keep: int) -> list[_Draw]:
-        """The draws nearest to a photograph, of a pool to which some between them are added."""
         unlikeness = partial(_unlikeness, photograph=photograph)
         parents = sorted(pool, key=unlikeness)[:_PARENTS]
         for _ in range(round(_BETWEEN_SHARE * tries)):
@@ -271,14 +265,12 @@ class _Trials:
 
 
 def _without_seeds(draw: Mapping[str, Any]) -> dict[str, Any]:
-    """A noun's draw without what belongs to a picture."""
     kept = {name: value for name, value in draw.items() if not name.endswith("seed")}
     inner = {n: _without_seeds(value) for n, value in kept.items() if isinstance(value, Mapping)}
     return kept | inner
 
 
 def _with_kept(sample: Record, kept: Mapping[str, Any]) -> Record:
-    """A sample with kept values in place of its own."""
     changed = dict(sample)
     for name, value in kept.items():
         if isinstance(value, tuple):  # as lists are read
@@ -316,19 +308,16 @@ def _small(name: str, tensors: Any, channels: int) -> list[tuple[Tensor, float]]
 
 
 def _features(srgb: Tensor) -> Values:
-    """The water features (12) of a picture (3xHxW), in standard deviations of photographs."""
     features = water_features(srgb.permute(1, 2, 0).numpy())
     values: Values = np.array([features[name] for name in WATER_FEATURES]) / _UNITS
     return values
 
 
 def _unlikeness(draw: _Draw, photograph: Values) -> float:
-    """Distance of a draw from a photograph: mean over the pictures on which it was tried."""
     return float(np.sqrt(((np.array(draw.features) - photograph) ** 2).mean(1)).mean())
 
 
 def _doubt(best: list[_Draw], photograph: Values, unlikeness: float) -> str:
-    """A sentence on what is off with draws that are so far from a photograph; else empty."""
     if unlikeness < _FAR_FROM:
         return ""
     excess = np.mean([np.mean(draw.features, 0) for draw in best], 0) - photograph

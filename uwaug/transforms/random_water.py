@@ -23,7 +23,7 @@ from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.constituents import Constituents
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.reduction import default_bands
+from uwaug.optics.reduction import default_bands, reduced
 from uwaug.optics.snow import MarineSnow
 from uwaug.optics.view import View
 from uwaug.optics.water import CONTRAST_THRESHOLD, Water, load_water
@@ -36,8 +36,8 @@ CONTENTS = Constituents(chlorophyll=(1.0, 9.0), cdom=(0.15, 1.2), minerals=(0.06
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", *[CONTENTS] * 5)
-"""Five of ten default waters are Jerlov types. In 7C and 9C nearly one colour is left, which looks
-like a filter. (Others that were tried: benchmarks/CHOICES.md, default draws.)
+"""In 7C and 9C nearly one colour is left, which looks like a filter. (What else was tried, and how
+`VISIBLE` was chosen: benchmarks/CHOICES.md, default draws.)
 """
 
 DIMMEST = 1 / 8
@@ -49,18 +49,22 @@ _CURVES = 0.002  # tolerance of a medium's curves, in the light that a metered e
 
 VISIBLE = (1.8, 14.0)
 """Median distances of a scene that one sees in the default waters: photographers stand where they
-can see. (How it was chosen: benchmarks/CHOICES.md, default draws.)
+can see.
 """
 
 PLACED_M = 2.0
 """m: stands for the median distance of a scene without a size, which is placed in its water."""
 
+MILDEST = 0.65
+"""Contrast of the mildest grade of severity, for which scenes that are placed are small enough."""
+
 # times what is in a water, from which on is warned: the clearest of `WATERS` need 42 for the
 # severest grade at 1 m
 MOST_CONTENTS = 50.0
 _LEAST_CONTENTS = 1e-3  # share of it that stays where pure water is too murky already
-_MOST_STOPS, _HALVINGS = 12.0, 13  # of contents that are looked for under lamps
-_WALL_PX = (12, 16)  # of a wall at the median distance, under lamps
+_MOST_STOPS = 12.0  # by which contents are scaled, whatever is asked for
+_HALVINGS = 13  # of stops that are looked for under lamps
+_WALL_PX = 192  # of a wall at the median distance, under lamps
 
 _CALIBRATED = PointSpread.calibrated()
 
@@ -92,24 +96,17 @@ class Clarity(NamedTuple):
             return f"that takes {times}, which is hardly that water: {named}"
         if self.contents == 0:
             asked = f"a contrast of {self.asked:.2g}" if self.asked else "the visibility"
-            return f"pure water has less than {asked} at {self.metres:.3g} m: are distances metres?"
+            got = f"pure water has less than {asked} at {self.metres:.3g} m"
+            return f"{got}: ask for less, if distances are metres"
         return ""
-
-
-class PictureWater(NamedTuple):
-    """The water of one picture."""
-
-    medium: Medium
-    vertical_depth: float | None  # m; None of a medium
-    water: Water | Medium
-    contents: float  # factor of what is in it that brought it to a contrast
 
 
 @codec.plain
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomWater(Noun):
     """Draws the water of each picture, as its camera sees it. A range is a number or (low, high),
-    drawn uniformly; visibility and contrast uniformly in their logarithm.
+    drawn uniformly; visibility and contrast uniformly in their logarithm. Both are reached as far
+    as 0 to 4096 times what is in a water allow; a warning says where that is not enough, or much.
 
     Args:
         waters: one or several of what `uwaug.load_water` takes; `Constituents` (or their text, such
@@ -123,8 +120,8 @@ class RandomWater(Noun):
             distance of the scene, types as they are in nature if that is so.
         contrast: share of contrast that is left at the scene's median distance, ignoring scattered
             light (see `Water.contrast`), but under lamps with it: what is in the water is scaled
-            to it, as far as pure water allows; of a `Medium` all rates are. None: what is left
-            follows from the water. Distances are never scaled.
+            to it; of a `Medium` all rates are. None: what is left follows from the water. Metres
+            are never scaled; a scene without a size is placed where pure water leaves .65.
         mixing: share of a second water, picked like the first. Both draw their contents at
             the same shares of their ranges.
         vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/8 of
@@ -263,7 +260,7 @@ class RandomWater(Noun):
         visibility, least_contents = draw.get("visibility"), 0.0
         if "clearness" in draw and math.isfinite(median):
             least_contents = _LEAST_CONTENTS
-            least, most = (count * median for count in VISIBLE)
+            least, most = VISIBLE[0] * median, VISIBLE[1] * median
             visibility = least * (most / least) ** draw["clearness"]
             if isinstance(first, str):
                 visibility = min(max(water.visibility(), least), most)
@@ -272,6 +269,13 @@ class RandomWater(Noun):
         contents = max(_contents(water, CONTRAST_THRESHOLD, visibility), least_contents)
         return water.with_contents(contents), contents
 
+    def farthest(self, water: Water | Medium, draw: Drawn) -> float:
+        """Distance [m] within which a scene is placed: pure water leaves what is asked for."""
+        asked = draw.get("contrast")
+        if asked is None or isinstance(water, Medium):
+            return math.inf
+        return water.with_contents(0.0).metres_for(max(asked, MILDEST))
+
     def of(
         self,
         water: Water | Medium,
@@ -279,9 +283,9 @@ class RandomWater(Noun):
         measured: Measured,
         light: Light | None,
         view: View,
-    ) -> PictureWater:
-        """The medium of a picture, from its `water`, which is brought to the contrast that was
-        drawn, if any, in this light.
+    ) -> tuple[Medium, float | None, Water | Medium, float]:
+        """The medium of a picture; its depth [m], None of a medium; its `water`, brought to the
+        contrast that was drawn, if any, in this light; and the factor of its contents that does it.
         """
         has_lamps = bool(light and light.lamps)
         medium_of = partial(self._medium_of, draw=draw, metered=measured.metered, lamps=has_lamps)
@@ -295,7 +299,11 @@ class RandomWater(Noun):
                 contents = _contents(water, asked, measured.median)
             water = water.with_contents(contents)
         medium, depth = medium_of(water)
-        return PictureWater(self._with_snow(medium, draw, measured), depth, water, contents)
+        if self.snow is not None:
+            snow = self.snow.of(draw["snow"])
+            x, y, z = (own + way for own, way in zip(snow.drift, measured.moved, strict=True))
+            medium = medium.with_snow(replace(snow, drift=(x, y, z)))
+        return medium, depth, water, contents
 
     def _medium_of(
         self, water: Water | Medium, *, draw: Drawn, metered: bool, lamps: bool
@@ -313,10 +321,8 @@ class RandomWater(Noun):
                     taken = f"the scene is taken at {deepest:.3g} m; metered=False keeps the dark"
                     odd_scene.warn(f"{got} of light: {taken}")
                 depth, daylight = deepest, DIMMEST
-        law = self.point_spread or _CALIBRATED
-        surfaces = "color_matrix" in draw, draw.get("color_matrix", 1.0)
         tolerance = _CURVES * daylight  # errors, too, are brought up by an exposure
-        options = (depth, draw["g"], self._mu(draw), law, *surfaces, tolerance)
+        options = depth, draw["g"], self._mu(draw), draw.get("color_matrix"), tolerance
         return self._medium(water, options, lamps), depth
 
     def fields(
@@ -325,9 +331,13 @@ class RandomWater(Noun):
         """The medium field (Bx1xHxW) of each picture, of the size of `like`; 1 in even water."""
         if self.field is None:
             return like.new_ones(())
-        scales = [view.focal(m.width) / m.median for m in measured]  # px a metre
-        moved = [(k * m.moved[0], k * m.moved[1]) for k, m in zip(scales, measured, strict=True)]
-        seeds = [draw.water["field_seed"] for draw in draws]
+        seeds, moved = list[int](), list[tuple[float, float]]()
+        for draw, picture in zip(draws, measured, strict=True):
+            right, down, _ = picture.moved
+            # to move by 0 m needs no px a metre
+            scale = view.focal(picture.width) / picture.median if right or down else 0.0
+            seeds.append(draw.water["field_seed"])
+            moved.append((scale * right, scale * down))
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
 
     def _medium(self, water: Water, options: tuple[Any, ...], lamps: bool) -> Medium:
@@ -335,19 +345,13 @@ class RandomWater(Noun):
         before: tuple[Water, Any, Medium] | None = vars(self).get("_before")
         if before and before[0] is water and before[1] == (options, lamps):
             return before[2]
-        medium = Medium.of_spectra(water, self.response, *options, lamps=lamps)
+        arrays = reduced(water, self.response, *options, lamps=lamps)
+        medium = Medium.of_arrays(*arrays, self.point_spread or _CALIBRATED)
         vars(self)["_before"] = water, (options, lamps), medium
         return medium
 
-    def _with_snow(self, medium: Medium, draw: Drawn, measured: Measured) -> Medium:
-        if self.snow is None:
-            return medium
-        snow = self.snow.of(draw["snow"])
-        x, y, z = (own + way for own, way in zip(snow.drift, measured.moved, strict=True))
-        return medium.with_snow(replace(snow, drift=(x, y, z)))
-
     def _mu(self, draw: Drawn) -> float:
-        """μ; of a range no more than g, as no veil is brighter than a white plate."""
+        # of a range no more than g: no veil that is drawn is brighter than a white plate
         g: float = draw["g"]
         if self.mu is None:
             return min(1.5 * g, 1.0)
@@ -374,12 +378,10 @@ class RandomWater(Noun):
 
 
 def _contents(water: Water, contrast: float, metres: float) -> float:
-    """Factor of what is in a water that leaves this contrast at a distance [m] by daylight."""
-    contents = water.contents_for(contrast, metres)
-    if math.isinf(contents):
-        cure = "draw from waters that have something in them, or give no contrast or visibility"
-        raise ValueError(f"waters: {water.name!r} is nothing but pure water to the eye: {cure}")
-    return contents
+    """Factor of what is in a water that leaves this contrast at a distance [m] by daylight, or the
+    most: next to nothing is in type I.
+    """
+    return min(water.contents_for(contrast, metres), math.exp2(_MOST_STOPS))
 
 
 def _contents_under(
@@ -393,8 +395,12 @@ def _contents_under(
     """Factor of what is in a water that leaves this contrast of a wall at the median distance, in a
     light, whose scattered light counts.
     """
-    wall = torch.full((1, *_WALL_PX), measured.median, dtype=torch.float64)
-    shown = view.resized(_WALL_PX[1] / measured.width)
+    size = measured.height, measured.width
+    # whole columns of square pixels, so that rows are nearly whole
+    columns = max(1, round(math.sqrt(_WALL_PX * size[1] / size[0])))
+    rows = max(1, round(columns * size[0] / size[1]))
+    wall = torch.full((1, rows, columns), measured.median, dtype=torch.float64)
+    shown = view.crop(size, 0, 0).resized(columns / size[1])
     low, high = -_MOST_STOPS, _MOST_STOPS
     for _ in range(_HALVINGS):
         stops = (low + high) / 2

@@ -35,9 +35,8 @@ def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool)
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if "torchvision.tv_tensors" in sys.modules and (others := [*_images(sample, "sample")][1:]):
-        cure = "one record degrades both: transform(image, distance, make_params(image))"
-        got = f"{others[0]} is a second picture, which would stay dry"
-        raise ValueError(f"{got}: {cure}; or give it as a plain tensor")
+        cure = "transform(image, distance, record) takes one record for both"
+        raise ValueError(f"{others[0]} is a second picture, which would stay dry: {cure}")
     if isinstance(sample, Mapping):
         image = _leaf(sample, keys[0], "sample")
         distance = _leaf(sample, keys[1], "sample") if reads_maps else sample.get(keys[1])
@@ -56,7 +55,6 @@ def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool)
 
 
 def _images(value: Any, name: str) -> Iterator[str]:
-    """Names of the torchvision `Image`s and `Video`s in a sample."""
     tensors = sys.modules["torchvision.tv_tensors"]
     if isinstance(value, (tensors.Image, tensors.Video)):
         yield name
@@ -67,7 +65,6 @@ def _images(value: Any, name: str) -> Iterator[str]:
 
 
 def _is_map(value: Any, image: Any) -> bool:
-    """True if a value after an image can be nothing but a map of distances."""
     are_tensors = isinstance(value, Tensor) and isinstance(image, Tensor)
     if not are_tensors or not value.is_floating_point() or not 3 <= value.ndim == image.ndim:
         return False
@@ -125,13 +122,11 @@ class SampleTransform(nn.Module):
         """The transform with randomness from a key: the same result in any worker, in any order.
 
         Args:
-            seed: of the run.
-            epoch: of the pass through the data.
+            seed, epoch: of the run, and of the pass through the data.
             index: of the picture (or batch); a number, or a name such as a path. "7" is 7.
 
         Returns:
-            A function of the same inputs, whose record is
-            `make_params(image, generator_of(seed, epoch, index))`.
+            A function of the same inputs, of the record `make_params(image, generator_of(…))`.
         """
         return partial(self._apply_with, key_of(seed, epoch, index))
 
@@ -154,7 +149,7 @@ class SampleTransform(nn.Module):
 
 
 def key_of(seed: int, epoch: int, index: int | str) -> int:
-    """The seed of a key, see `at`: 32 bits, all that a generator of torch takes."""
+    """The seed of a key, see `at`: the 32 bits that a generator of torch takes."""
     name = index if isinstance(index, str) else whole_number(index)
     text = f"{whole_number(seed)}/{whole_number(epoch)}/{name}"
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest())
@@ -197,7 +192,8 @@ def maps_for(pictures: Tensor, distance: Any, source: Source) -> Sequence[Tensor
         hint = "; expected (image, distance, …), (image, {'distance': …}) or a dict of both"
     checks.floating("distance", distance, hint)
     checks.picture("distance", distance, 1)
-    require_aspect("distance", distance, pictures)
+    if distance.shape[-2:] != pictures.shape[-2:]:
+        require_aspect("distance", distance, pictures)
     checks.same_device("distance", distance, pictures)
     plain, count = typed(distance, Tensor), len(pictures)
     maps = list(plain) if plain.ndim == 4 else [plain]

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ from uwaug._support import checks
 from uwaug._support.nouns import Drawn
 from uwaug._support.once import Once
 from uwaug._support.types import ColorSpace
-from uwaug.distance.doubts import first_maps
+from uwaug.distance.doubts import question
 from uwaug.distance.sizes import brought_to
 from uwaug.distance.sources import Metres, Source
 from uwaug.distance.unknown import FARTHEST_SEEN
@@ -127,9 +128,7 @@ def scenes_of(
     nouns: Mapping[str, Any],
     view: View,
 ) -> Scenes:
-    """Put an image, whose pictures are Bx3xHxW, into the water of their draws, by the nouns of a
-    transform.
-    """
+    """Put an image, whose pictures are Bx3xHxW, into the water of their draws."""
     view.require(pictures.shape[-1])
     fast.load()  # else the first picture of a process would be off by the last bits
     water: RandomWater = nouns["water"]
@@ -147,7 +146,9 @@ def scenes_of(
             numbers = [
                 # the veil grows on behind the far end, which would show the rim of open water; but
                 # it must be endless where the water may still become clearer
-                source.placed(draw.distance, partial(metres_for, of_it))
+                source.placed(
+                    draw.distance, partial(metres_for, of_it), water.farthest(of_it, draw.water)
+                )
                 | {"hides": "contrast" not in draw.water}
                 for draw, (of_it, _) in zip(applied, waters, strict=True)
             ]
@@ -155,18 +156,20 @@ def scenes_of(
         submerged = pictures if len(chosen) == len(pictures) else pictures[chosen]
         metered = nouns["development"].metered
         measurements = measure(submerged, metres, metered=metered)
-        are_whole = all(m.nearest > 0 and m.farthest < FARTHEST_SEEN for m in measurements)
-        if not are_whole and source == _WHOLE_MAPS:
+        holed = [m for m in measurements if not (m.nearest > 0 and m.farthest < FARTHEST_SEEN)]
+        if holed and source == _WHOLE_MAPS:
             metres = _read_again(source, pictures, metres, chosen)
             measurements = measure(submerged, metres, metered=metered)
         scenes, of_films = [], []
         for n, (i, draw, measured) in enumerate(zip(chosen, applied, measurements, strict=True)):
-            with naming(i, len(pictures)):
+            with nullcontext() if len(pictures) == 1 else naming(i, len(pictures)):
                 if not (measured.darkest >= 0 and measured.brightest <= 1):
                     require_values(pictures[i], space)
-                of_films.append(measured.of_film(draw.measured, draw.passed))
-                drawn = waters[n] if waters else water.water(draw.water, of_films[-1].median)
-                scenes.append(_scene(draw, drawn, measured, of_films[-1], nouns, view))
+                is_film = draw.measured or draw.moved or any(draw.motion)
+                film = measured.of_film(draw.measured, draw.passed) if is_film else measured
+                of_films.append(film)
+                drawn = waters[n] if waters else water.water(draw.water, film.median)
+                scenes.append(_scene(draw, drawn, measured, film, nouns, view))
         metres = metres.double() if pictures.dtype == torch.float64 else metres
         metres = metres.clamp(max=FARTHEST)
         z = metres * water.fields(applied, of_films, metres, view)
@@ -205,15 +208,13 @@ def _metres_of(
     color_space: ColorSpace,
     view: View,
 ) -> Tensor:
-    """Distances (Nx1xHxW, m) of the pictures (Bx3xHxW) to degrade, by the source's `numbers` (N) of
-    each; of `Metres()` as they come.
-    """
+    """Distances (Nx1xHxW, m) of the pictures to degrade; those of `Metres()` as they come."""
     results = list[Tensor]()
     for i, (metres, picture, draw) in enumerate(zip(maps, pictures, draws, strict=True)):
         if not draw.applied:
             continue
         if metres is not None and isinstance(source, Metres) and checks.on_host(picture):
-            first_maps.question(metres, picture, stacklevel=5)
+            question(metres, stacklevel=5)
         if metres is None or source != _WHOLE_MAPS:
             srgb = picture
             if source.reads_pictures and color_space == "linear":
@@ -224,7 +225,8 @@ def _metres_of(
                 metres = source.metres(metres, srgb, numbers[len(results)], **rays)
         if metres.dtype.itemsize < 4:
             metres = metres.float()
-        results.append(brought_to(picture.shape[-2:], metres))
+        is_of_size = metres.shape[-2:] == picture.shape[-2:]
+        results.append(metres if is_of_size else brought_to(picture.shape[-2:], metres))
     return results[0][None] if len(results) == 1 else torch.stack(results)
 
 
@@ -240,10 +242,10 @@ def _read_again(source: Source, pictures: Tensor, metres: Tensor, chosen: Sequen
 def _warn_if_blank(setting: Setting) -> None:
     """Warn, once in a process, if next to nothing is left to see at the median distance."""
     median = setting.span[1]
-    if not math.isfinite(median) or not _blank.due():
+    if _blank.looks_left < 1 or not math.isfinite(median) or not _blank.due():
         return
     z = setting.medium.beta.new_full((1, 1, 1), median)
     if float(contrast_left(z, setting.medium, light=setting.light)) < FAINT:
         got = f"less than {100 * FAINT:g} % of the contrast is left on half of a picture or more"
-        cure = "are distances metres? If so, take clearer water by contrast"
+        cure = "take clearer water by contrast, if distances are metres"
         _blank.warn(f"{got}, of median distance {median:.3g} m: {cure}")

@@ -17,7 +17,7 @@ _GRID = 17  # rates that are tried at a time
 _ZOOMS = 4  # times that the two about the best are the next ends
 _PIXELS = 4096  # about, by which rates are fitted
 
-MAPS = ("clean", "z", "transmission", "signal", "veil")
+MAPS = ("clean", "z", "direct", "transmission", "signal", "veil")
 """Maps of a `Truth`."""
 
 
@@ -26,8 +26,7 @@ class Coefficients(NamedTuple):
 
         gain·(ambient·J·e^(−beta_d·z) + b_inf·(1 − e^(−beta_b·z)))
 
-    Light at depth and endless veil are the water's; the rates are the nearest single ones to its
-    many, by least squares over the picture.
+    The rates are the nearest single ones to the water's many, by least squares over the picture.
 
     Attributes:
         beta_d, beta_b: attenuation of the scene's light, and of the veil, 1/m.
@@ -48,15 +47,20 @@ class Truth(NamedTuple):
 
         gain @ (signal + veil)
 
-    but for the sensor's noise, which comes before the gain, and gamut and tone after it.
+    but for the sensor's noise, which comes before the gain, and gamut and tone after it. Of grey
+    surfaces (`RandomWater(color_matrix=None)`)
+
+        signal = direct·J + (transmission − direct)·blur(J)
+
+    so that signal/transmission is J where nothing is blurred: in even areas, and everywhere with
+    `PointSpread.none()`. Colours with spectra mix channels, so that signal may be negative.
 
     Attributes:
         clean (3xHxW): the scene J without water.
         z (1xHxW): effective distance, m: scaled, without holes, times the medium field.
-        transmission (3xHxW): share of the surface's light that arrives from a white scene, direct
-            or scattered forward.
-        signal (3xHxW): light that arrives from the scene, direct and blurred. Of grey surfaces it
-            is J times transmission; colours with spectra mix channels, so that it may be negative.
+        direct (3xHxW): share of the surface's light that arrives from a white scene unscattered.
+        transmission (3xHxW): the same, with what is scattered forward.
+        signal (3xHxW): light that arrives from the scene, direct and blurred.
         veil (3xHxW): backscattered light.
         gain (3x3): matrix of the camera: exposure, white balance and saturation.
         vertical_depth: m; None of a `Medium`.
@@ -66,6 +70,7 @@ class Truth(NamedTuple):
 
     clean: Tensor
     z: Tensor
+    direct: Tensor
     transmission: Tensor
     signal: Tensor
     veil: Tensor
@@ -90,10 +95,12 @@ def truth_of(
     """
     medium, light = setting.medium.to(z), setting.light
     T, terms, gain = terms_of(J, z, setting, metres)
-    direct, forward, *added = terms.values()
-    signal, veil = direct + forward, sum(added[1:], added[0])
+    unscattered, forward, *added = terms.values()
+    signal, veil = unscattered + forward, sum(added[1:], added[0])
     white = z.new_ones(1, 3, 1, 1)
-    arriving = passed(T.direct + T.scatter, white).expand_as(J)
+    direct, arriving = (
+        passed(curve, white).expand_as(J) for curve in (T.direct, T.direct + T.scatter)
+    )
     coefficients = None
     if light is None or not light.lamps:
         day = medium if light is None else medium.brightened(z.new_full((1, 1), light.daylight))
@@ -109,7 +116,7 @@ def truth_of(
         of_channels: dict[str, list[float]] = {k: x.flatten().tolist() for k, x in numbers.items()}
         coefficients = Coefficients(**of_channels, rmse=float(error.square().mean().sqrt()))
     matrix = gain if gain.ndim == 3 else torch.diag_embed(gain.expand(1, 3))
-    maps = J[0], z[0], arriving[0], signal[0], veil[0], matrix[0]
+    maps = J[0], z[0], direct[0], arriving[0], signal[0], veil[0], matrix[0]
     return Truth(*maps, vertical_depth, coefficients)
 
 
