@@ -265,11 +265,8 @@ def halve(
         for y in range(start, stop):
             inside[:] = _0
             for i in range(3):
-                above, below, w = (
-                    plane[rows[2 * y + 1 + i]],
-                    plane[rows[2 * y + 6 - i]],
-                    _HALVING[i],
-                )
+                w, first, last = _HALVING[i], 2 * y + 1 + i, 2 * y + 6 - i
+                above, below = plane[rows[first]], plane[rows[last]]
                 for x in range(width):
                     inside[x] += w * (above[x] + below[x])
             extend(line, columns, 3, width, 1)
