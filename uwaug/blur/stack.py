@@ -8,18 +8,8 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug.blur.banded import (
-    HALF,
-    Banded,
-    Kind,
-    Node,
-    along_columns,
-    along_rows,
-    operator,
-)
+from uwaug.blur.banded import HALF, Kind, Node, along_columns, along_rows, operator
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line, plan_blur
-
-Chain = tuple[tuple[int, Banded], ...]  # products in the order of use: axis and matrix of each
 
 
 def varying_blur(
@@ -106,7 +96,7 @@ def _node_blur(
     """Apply one blur of a stack for pictures of h × w px, or its adjoint, to x (H, N, W).
     torch.compile keeps it whole.
     """
-    return products(x.contiguous(), chain_of(Node(sigma, cell, reach), (h, w), x, adjoint))
+    return _products(x.contiguous(), Node(sigma, cell, reach), (h, w), adjoint)
 
 
 @_node_blur.register_fake
@@ -159,29 +149,21 @@ class _Blur(torch.autograd.Function):
 _applied: Callable[..., Tensor] = _Blur.apply
 
 
-def products(x: Tensor, chain: Chain) -> Tensor:
-    """Apply the matrices of a chain in turn to x (H, N, W)."""
-    for axis, matrix in chain:
+def _products(x: Tensor, node: Node, size: tuple[int, int], adjoint: bool) -> Tensor:
+    """Apply the matrices of one blur of a stack, in the order of the fewest operations."""
+    order: list[tuple[int, Kind]] = [(0, "blur"), (1, "blur")]
+    if node == HALF:
+        order = [(0, "halve"), (1, "halve")]
+    elif node.cell != 1:
+        order = [(0, "shrink"), (1, "shrink"), (1, "enlarge"), (0, "enlarge")]
+    for axis, kind in reversed(order) if adjoint else order:
+        matrix = operator(kind, axis, size[axis], node, x.dtype, x.device, adjoint)
         h, n, w = x.shape
         if axis == 0:
             x = along_rows(matrix, x.reshape(h, n * w)).reshape(-1, n, w)
         else:
             x = along_columns(matrix, x.reshape(h * n, w)).reshape(h, n, -1)
     return x
-
-
-def chain_of(node: Node, size: tuple[int, int], like: Tensor, adjoint: bool = False) -> Chain:
-    """Products of one blur of a stack, with the fewest operations."""
-    order: list[tuple[int, Kind]] = [(0, "blur"), (1, "blur")]
-    if node == HALF:
-        order = [(0, "halve"), (1, "halve")]
-    elif node.cell != 1:
-        order = [(0, "shrink"), (1, "shrink"), (1, "enlarge"), (0, "enlarge")]
-    chain = []
-    for axis, kind in reversed(order) if adjoint else order:
-        matrix = operator(kind, axis, size[axis], node, like.dtype, like.device, adjoint)
-        chain.append((axis, matrix))
-    return tuple(chain)
 
 
 def blurred(image: Tensor, plan: BlurPlan) -> list[Tensor]:

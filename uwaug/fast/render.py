@@ -180,12 +180,14 @@ def _gains(scenes: Sequence[_Scene], development: Development) -> Array:
     for scene in scenes:
         height, width = scene.z.shape
         points = _points(height, width)
-        brightness = np.empty(len(points), np.float32)
-        maps = scene.light.reshape(3, -1), scene.z.reshape(-1), scene.metres.reshape(-1)
-        inputs: Any = (*maps, width, points, scene.water, scene.rays, brightness)
-        means = kernels.meter(*inputs)
+        arriving = np.empty((3, len(points)), np.float32)
+        light, maps = scene.light.reshape(3, -1), (scene.z.reshape(-1), scene.metres.reshape(-1))
+        inputs: Any = (light, *maps, width, points, scene.water, scene.rays, arriving)
+        kernels.meter(*inputs)
+        values = np.stack([light[:, points], arriving, np.maximum(arriving, 0)])
+        means = values.mean(2, dtype=np.float64)
         burnt = round(BURNT * METERED)
-        highlight = float(np.partition(brightness, -burnt)[-burnt])
+        highlight = float(np.partition(arriving.max(0), -burnt)[-burnt])
         matrices.append(gain_at(means, highlight, *camera, *colour))
     return np.stack(matrices)
 

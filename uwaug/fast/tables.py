@@ -37,6 +37,8 @@ class CoarseTable(NamedTuple):
     across: Floats
     back_first: Indices  # (W) the first cell of each column
     back: Floats  # (W, 4) weights
+    row_first: Indices  # (H) the first cell of each row
+    row_back: Floats  # (H, 4)
 
 
 class StackTable(NamedTuple):
@@ -45,8 +47,7 @@ class StackTable(NamedTuple):
     series: Floats  # (K, N) weights of the blurs, as Chebyshev series
     taps: Floats  # (n, reach + 1) middle weight and one half of each narrow blur
     pairs: Indices  # (n) how many weights of each half are used, an even number
-    margin: int  # px that the widest narrow blur reaches
-    rows: Indices  # in the picture, mirrored, from `margin` before the first
+    rows: Indices  # in the picture, mirrored, from as many before the first as taps reach
     columns: Indices
     back_first: Indices  # (m, H) the first cell of each row on each grid
     back: Floats  # (m, H, 4) weights
@@ -137,8 +138,7 @@ class RaysTable(NamedTuple):
 # ------------------------------------------------------------------------------ plans
 
 _PLANS: Cache[PlanTable] = Cache(8 * 2**20)
-# coarse grids, with `back_first` and `back` of rows: 8 MiB or so for each size in random water
-_GRIDS: Cache[tuple[CoarseTable, Indices, Floats]] = Cache(32 * 2**20)
+_GRIDS: Cache[CoarseTable] = Cache(32 * 2**20)  # 8 MiB or so for each size in random water
 
 
 def plan_table(plan: BlurPlan, size: Size) -> PlanTable:
@@ -175,21 +175,22 @@ def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
         series=series,
         taps=taps,
         pairs=np.array([_pairs(node) for node in narrow], np.int64),
-        margin=margin,
         rows=_mirrored(margin, 2 * height),
         columns=_mirrored(margin, 2 * width),
-        back_first=np.array([first for _, first, _ in grids], np.int64).reshape(-1, height),
-        back=np.array([back for *_, back in grids], np.float32).reshape(-1, height, 4),
+        back_first=np.array([grid.row_first for grid in grids], np.int64).reshape(-1, height),
+        back=np.array([grid.row_back for grid in grids], np.float32).reshape(-1, height, 4),
     )
     rows, columns = (_mirrored(len(HALVING) // 2, 2 * side) for side in size)
-    return PlanTable(stack, rows, columns, tuple(grid for grid, *_ in grids))
+    return PlanTable(stack, rows, columns, tuple(grids))
 
 
-def _grid(node: Node, size: Size) -> tuple[CoarseTable, Indices, Floats]:
-    """A blur on a coarse grid for pictures of one size; first cell and weights of their rows."""
+def _grid(node: Node, size: Size) -> CoarseTable:
+    """A blur on a coarse grid for pictures of one size."""
     grid = _GRIDS.get((node, size))
     if grid is None:
-        grid = _coarse_table(node, *size), *_rows_of("enlarge", node, size[0])
+        rows, _, first, down = _shrinking(node, size[0])
+        backs = (*_rows_of("enlarge", node, size[1]), *_rows_of("enlarge", node, size[0]))
+        grid = CoarseTable(rows, first, down, *_shrinking(node, size[1]), *backs)
         _GRIDS.put((node, size), grid, _bytes(grid))
     return grid
 
@@ -208,12 +209,6 @@ def _taps(nodes: list[Node]) -> Floats:
         half = kernel[len(kernel) // 2 :]
         row[: len(half)] = half
     return taps
-
-
-def _coarse_table(node: Node, height: int, width: int) -> CoarseTable:
-    rows, _, down_first, down = _shrinking(node, height)
-    along_rows = *_shrinking(node, width), *_rows_of("enlarge", node, width)
-    return CoarseTable(rows, down_first, down, *along_rows)
 
 
 def _shrinking(node: Node, size: int) -> tuple[Indices, int, Indices, Floats]:
