@@ -62,10 +62,21 @@ _D0, _D1, _D2, _D3, _D4, _D5, _D6, _D7, _D8, _D9, _D10, _D11 = _constants(
     " -0.000353941054 0.000425769365 -5.84588051e-05 -0.000261950219 -5.44070936e-05"
     " 0.000142998673"
 )
+# y^(1/2.4) for y from √½ to √2 as v = −1…1
+_P0, _P1, _P2, _P3, _P4, _P5, _P6, _P7 = _constants(
+    "1.02484167 0.142339051 -0.0138392113 0.00243530166 -0.000520724338 0.000123142119"
+    " -3.71033384e-05 1.05816562e-05"
+)
+# 1.055·2^(n/2.4) for n = −8, …, 0 as u = −1…1
+_G0, _G1, _G2, _G3, _G4, _G5, _G6, _G7 = _constants(
+    "0.33230409 0.383892804 0.221749201 0.0853907168 0.0246360358 0.00569438841 0.00114529859"
+    " 0.00018745441"
+)
 _SRGB_KNEE, _LINEAR_KNEE = f32(0.0404482362771076), f32(0.0404482362771076 / 12.92)  # see colour
 _SLOPE, _UNSLOPE, _SCALE, _SHIFT = f32(12.92), f32(1 / 12.92), f32(1 / 1.055), f32(0.055)
 _GAMMA, _UNGAMMA, _MAX_VALUE = f32(2.4), f32(1 / 2.4), f32(1e30)
 _D_SCALE, _D_SHIFT = f32(2 / (1 - 0.0404482362771076)), f32(1.0404482362771076 / 0.9595517637228924)
+_P_SCALE, _P_SHIFT = f32(8**0.5), f32(3)
 
 
 @inner
@@ -88,12 +99,19 @@ def exp2(x: Any) -> Any:
 
 
 @inner
-def log2(y: Any) -> Any:
-    """Logarithm to base 2 of positive y = 2^e·(1 + f), 1 + f from √½ to √2."""
+def _split(y: Any) -> Any:
+    """Split y = 2^e·m, m from √½ to √2, into e and m."""
     bits = f32(y).view(i32)
     # numba's sums of 32 bits have 64, of which half as many fit into a register
     e = i32(i32(bits - _ROOT_HALF_BITS) >> 23)
-    f = i32(bits - i32(e << 23)).view(f32) - _1
+    return e, i32(bits - i32(e << 23)).view(f32)
+
+
+@inner
+def log2(y: Any) -> Any:
+    """Logarithm to base 2 of positive y."""
+    e, m = _split(y)
+    f = m - _1
     p = _L4 + f * (_L5 + f * (_L6 + f * (_L7 + f * _L8)))
     return f32(e) + f * (_L0 + f * (_L1 + f * (_L2 + f * (_L3 + f * p))))
 
@@ -115,6 +133,19 @@ def decode(x: Any) -> Any:
     power = exp2(_GAMMA * log2(_1 + (m - _1) * _SCALE))
     value = a * _UNSLOPE if a < _SRGB_KNEE else power
     return -value if x < _0 else value
+
+
+@inner
+def encode_unit(x: Any) -> Any:
+    """Encode linear light as sRGB, clipped to 0…1. (2.5 times as fast as by `log2`.)"""
+    a = max(x, _0)
+    e, m = _split(min(max(a, _LINEAR_KNEE), _1))
+    v, u = m * _P_SCALE - _P_SHIFT, f32(e) * f32(0.25) + _1
+    p = _P4 + v * (_P5 + v * (_P6 + v * _P7))
+    p = _P0 + v * (_P1 + v * (_P2 + v * (_P3 + v * p)))
+    g = _G4 + u * (_G5 + u * (_G6 + u * _G7))
+    g = _G0 + u * (_G1 + u * (_G2 + u * (_G3 + u * g)))
+    return a * _SLOPE if a < _LINEAR_KNEE else min(p * g - _SHIFT, _1)
 
 
 @inner
@@ -562,8 +593,8 @@ def find_entries(t: Any, z: int, fraction: int, entries: Any, table: Any, n: int
     distances, s, first = tile_row(t, z), tile_row(t, fraction), i32(table.first)
     last = i32(first + ((table.rows.shape[1] - 1) << ENTRY_BITS) - 1)
     for x in range(n):
-        bits = i32(min(max(f32(distances[x]).view(i32), first), last) - first)
-        entries[x] = i32(bits >> ENTRY_BITS)
+        bits = min(max(f32(distances[x]).view(i32), first), last)
+        entries[x] = i32(i32(bits - first) >> ENTRY_BITS)
         s[x] = f32(i32(bits & _FRACTION_BITS)) * _FRACTION_UNIT
 
 
@@ -730,8 +761,8 @@ def _add_noise(
 
 @inner
 def _develop(t: Any, total: int, table: Any, n: int) -> None:
-    """Gain and gamut of the light in three rows, see `uwaug.formation.development`."""
-    share, m = table.gamut, table.gain
+    """Gain, gamut and tone of the light in three rows, see `uwaug.formation.development`."""
+    share, contrast, offset, m = table.gamut, table.tone, table.tone_offset, table.gain
     d = tile_rows(t, total, 3)
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     for x in range(n):
@@ -746,26 +777,16 @@ def _develop(t: Any, total: int, table: Any, n: int) -> None:
             green += less * _compression(_1 - green * inverse)
             blue += less * _compression(_1 - blue * inverse)
         d[x], d[x + TILE], d[x + 2 * TILE] = red, green, blue
-
-
-@inner
-def _toned(light: Any, table: Any) -> Any:
-    """Light along the curve of the tone."""
-    if table.tone == _1:
-        return light
-    contrast, offset = table.tone, table.tone_offset
-    size = max(abs(light), TOE)
-    inside = min(size, _1)
-    power = exp2(contrast * log2(inside))
-    curve = (_1 + offset) * power / (power + offset)
-    return light * ((curve + contrast * offset / (_1 + offset) * (size - inside)) / size)
-
-
-@kernel
-def tabulate(light: Floats, table: DevelopmentTable, shown: Floats) -> None:
-    """Fill `shown` with sRGB values of light after the tone."""
-    for x in range(light.size):
-        shown[x] = encode(_toned(light[x], table))
+    if contrast != _1:
+        slope = contrast * offset / (_1 + offset)
+        for c in range(3):
+            light = tile_row(d, c)
+            for x in range(n):
+                size = max(abs(light[x]), TOE)
+                inside = min(size, _1)
+                power = exp2(contrast * log2(inside))
+                curve = (_1 + offset) * power / (power + offset) + slope * (size - inside)
+                light[x] *= curve / size
 
 
 @inner
@@ -776,28 +797,15 @@ def _compression(distance: Any) -> Any:
 
 
 @inner
-def _show(t: Any, row: int, fraction: int, entries: Any, table: Any, highest: Any, n: int) -> None:
-    """Tone and encoding of a row of light: by their table, which light above 1 has not."""
-    d, s, shown = tile_row(t, row), tile_row(t, fraction), table.shown.rows[0]
-    if shown.size > 0:
-        # the curve is straight before the table
-        inverse = _1 / i32(table.shown.first).view(f32)
-        find_entries(t, row, fraction, entries, table.shown, n)
+def _store(total: Any, highest: Any, out: Any, out_bytes: Any, n: int) -> None:
+    """Encode the light of a tile, and write it to the one of two outputs that has room."""
+    if highest > _1:
         for x in range(n):
-            below = min(max(d[x] * inverse, _0), _1)
-            value = below * interpolated(shown, entries[x], s[x])
-            d[x] = value if d[x] < _1 else _1
-        return
-    for x in range(n):
-        d[x] = _toned(d[x], table)
-    if highest > _0:
+            value = total[x]
+            total[x] = encode_unit(value) if value <= _1 else min(encode(value), highest)
+    elif highest > _0:
         for x in range(n):
-            d[x] = min(max(encode(d[x]), _0), highest)
-
-
-@inner
-def _store(total: Any, out: Any, out_bytes: Any) -> None:
-    """Write a tile to the one of two outputs that has room."""
+            total[x] = encode_unit(total[x])
     copy(out, total[: out.size])
     for x in range(out_bytes.size):
         out_bytes[x] = np.uint8(nearest(min(max(total[x] * _255, _0), _255)))
@@ -921,7 +929,6 @@ def render_rows(
                 _add_noise(t, totals, left, normals, begins[:, y], development, n)
             _develop(t, totals, development, n)
             for c in range(3):
-                _show(t, totals + c, fractions, entries, development, highest, n)
                 floats = out[c, y % out.shape[1], left:right]
                 whole = out_bytes[c, y % out_bytes.shape[1], left:right]
-                _store(tile_row(t, totals + c), floats, whole)
+                _store(tile_row(t, totals + c), highest, floats, whole, n)

@@ -19,7 +19,6 @@ from uwaug._support.types import Array
 from uwaug.blur.plan import BlurPlan
 from uwaug.fast import kernels
 from uwaug.fast.tables import (
-    NOTHING,
     DevelopmentTable,
     Floats,
     Indices,
@@ -31,7 +30,6 @@ from uwaug.fast.tables import (
     places_table,
     plan_table,
     rays_tables,
-    tabulated,
     terms_table,
 )
 from uwaug.formation.colour import headroom
@@ -39,7 +37,6 @@ from uwaug.formation.demand import blurred_between, demand_of
 from uwaug.formation.development import (
     BURNT,
     METERED,
-    TOE,
     Development,
     gain_at,
     metering_points,
@@ -104,7 +101,7 @@ def form(
     highest = np.full(batch, srgb, np.float32)
     if high > 1:
         highest *= torch.as_tensor(headroom(image)).float().flatten().numpy()
-    normals, begins, developments = _camera(development, gains, batch, size, srgb and high <= 1)
+    normals, begins, developments = _camera(development, gains, batch, size)
     layers = _snow(setting, z, z if metres is None else metres, batch)
     kind = torch.uint8 if image.dtype == torch.uint8 else torch.float32
     result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
@@ -200,7 +197,7 @@ def _points(height: int, width: int) -> NDArray[np.uint32]:
 
 
 def _camera(
-    development: Development, gains: Array, batch: int, size: tuple[int, int], is_shown: bool
+    development: Development, gains: Array, batch: int, size: tuple[int, int]
 ) -> tuple[Floats, Indices, list[DevelopmentTable]]:
     """The sensor's normals, the first for each row of each channel (Bx3xH), and tables."""
     sensor, normals, begins = development.noise, _NO_FLOATS[0, 0], np.zeros((batch, 3, 0), np.int64)
@@ -211,17 +208,8 @@ def _camera(
     shape = development.gamut, development.tone, tone_offset(float(development.tone))
     dark, photons, gamut, tone, offset = np.array([*variance, *shape], np.float32)
     flat = gains.reshape(-1, 9).astype(np.float32)
-    table = DevelopmentTable(dark, photons, flat[0], gamut, tone, offset, NOTHING)
-    if is_shown:
-        table = table._replace(shown=tabulated(partial(_shown, table), (TOE, 1.0)))
-    return normals, begins, [table._replace(gain=gain) for gain in flat]
-
-
-def _shown(table: DevelopmentTable, light: Array) -> Array:
-    """Values in sRGB of light after the tone."""
-    shown = np.empty(len(light), np.float32)
-    kernels.tabulate(light.astype(np.float32), table, shown)
-    return shown.astype(np.float64)
+    tables = [DevelopmentTable(dark, photons, gain, gamut, tone, offset) for gain in flat]
+    return normals, begins, tables
 
 
 def _decoded(image: Tensor, srgb: bool, beyond: bool) -> Tensor:

@@ -63,13 +63,13 @@ class PlanTable(NamedTuple):
 
 
 class DistanceTable(NamedTuple):
-    """N functions of the distance, or of light, 256 times in each octave, linear between."""
+    """N functions of the distance, tabulated 128 times in each octave, linear between."""
 
     first: np.int32  # bits of the first distance, m, in single precision
     rows: Floats  # (NxE, or Nx0) values at E distances
 
 
-NOTHING = DistanceTable(np.int32(0), np.zeros((1, 0), np.float32))
+_NOTHING = DistanceTable(np.int32(0), np.zeros((1, 0), np.float32))
 
 
 class DevelopmentTable(NamedTuple):
@@ -81,8 +81,6 @@ class DevelopmentTable(NamedTuple):
     gamut: np.float32  # share of the compression
     tone: np.float32  # exponent of the curve
     tone_offset: np.float32
-    # sRGB values by light from `TOE` to 1, or none for linear light and for pictures above 1
-    shown: DistanceTable
 
 
 class MediumTable(NamedTuple):
@@ -241,9 +239,9 @@ def _mirrored(margin: int, turn: int) -> Indices:
 # ------------------------------------------------------------------------------ media
 
 # Last bits of a distance in single precision, which lie between two entries of a table; the others
-# are the entry. With 256 entries in an octave pictures are right within 1e-6. (Other tables:
+# are the entry. With 128 entries in an octave pictures are right within 1e-6. (Other tables:
 # benchmarks/CHOICES.md, loops.)
-ENTRY_BITS = 15
+ENTRY_BITS = 16
 _AT_LENS = torch.zeros(1, 1, 1, 1)
 _MIN_DISTANCE = 1e-6  # m, and share of the farthest distance: stands for 0, which has no logarithm
 
@@ -258,7 +256,7 @@ def medium_table(row: Weights) -> MediumTable:
 def places_table(row: Weights, plan: BlurPlan, ends: tuple[float, float]) -> DistanceTable:
     """Places (−1…1) of the blur's widths, px, in a plan; without entries if it has one width."""
     if len(plan.sigmas) == 1:
-        return NOTHING
+        return _NOTHING
     slope, offset = place_line(plan)
 
     def places(z: Array) -> Array:
@@ -266,13 +264,13 @@ def places_table(row: Weights, plan: BlurPlan, ends: tuple[float, float]) -> Dis
         x = x if plan.shape == "exponential" else V_FLOOR * x * x
         return slope * np.log1p(x) + offset
 
-    return tabulated(places, ends)
+    return _tabulated(places, ends)
 
 
 def terms_table(medium: Medium, z: Floats) -> DistanceTable:
     """Light (3) of a medium's further terms by distance; without entries if there are none."""
     if not medium.further_terms(_AT_LENS):
-        return NOTHING
+        return _NOTHING
 
     def light(z: Array) -> Array:
         at, total = torch.from_numpy(z)[None, None, None], np.zeros((3, len(z)))
@@ -280,13 +278,11 @@ def terms_table(medium: Medium, z: Floats) -> DistanceTable:
             total += term.detach().expand(1, 3, 1, len(z))[0, :, 0].numpy()
         return total
 
-    return tabulated(light, (float(z.min()), float(z.max())))
+    return _tabulated(light, (float(z.min()), float(z.max())))
 
 
-def tabulated(function: Callable[[Array], Array], ends: tuple[float, float]) -> DistanceTable:
-    """The table of a function of distances (E), m, or light, between two ends, to values (E) or
-    (N, E).
-    """
+def _tabulated(function: Callable[[Array], Array], ends: tuple[float, float]) -> DistanceTable:
+    """The table of a function of distances (E), between two ends, m, to values (E) or (N, E)."""
     low = max(ends[0], _MIN_DISTANCE * ends[1], _MIN_DISTANCE)
     high = max(ends[1], _MIN_DISTANCE)
     first, last = np.array([low, high], np.float32).view(np.int32) >> ENTRY_BITS
