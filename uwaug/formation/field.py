@@ -100,12 +100,12 @@ def field_of(
         fields = (down @ amplitudes @ across.mT)[:, None]
     # by the ends of the field that has not moved: else all of it would change as it moves
     if checks.on_host(still) and len(still):
-        ends = [checks.extent(field) for field in still]
-        for field, (smallest, largest) in zip(fields, ends, strict=True):
+        ends = [checks.extent(field) for field in torch.split(still, 1)]
+        for field, (least, most) in zip(torch.split(fields, 1), ends, strict=True):
             # tensors as ends take five times as long
-            scale = (high - low) / (largest - smallest) if largest > smallest else 0.0
-            offset = (low + high) / 2 - (smallest + largest) / 2 * scale
-            field.mul_(scale).add_(offset).clamp_(low, high)
+            factor = (high - low) / (most - least) if most > least else 0.0
+            summand = (low + high) / 2 - (least + most) / 2 * factor
+            field.mul_(factor).add_(summand).clamp_(low, high)
         return fields
     smallest, largest = still.amin((-2, -1), keepdim=True), still.amax((-2, -1), keepdim=True)
     span = largest - smallest
