@@ -67,7 +67,7 @@ def test_a_link_stays_and_its_target_is_replaced(tmp_path):
         assert [path.name for path in folder.iterdir()] == ["target"]
     circle = tmp_path / "circle"
     circle.symlink_to(circle)
-    with pytest.raises(OSError, match="no regular file"):
+    with pytest.raises(OSError, match="symbolic links"):
         write(circle)
 
 
@@ -82,7 +82,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path, make, linked):
         path.symlink_to("it")
     count = len(list(tmp_path.iterdir()))
     for refused in (write, require_regular):
-        with pytest.raises(OSError, match=r"path must be a file, but .* is (a folder|no regular)"):
+        with pytest.raises(OSError, match="path must be a regular file"):
             refused(path)
     after = path.stat()
     assert (after.st_ino, after.st_mode) == (before.st_ino, before.st_mode)

@@ -322,20 +322,19 @@ TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8],
 
 
 @pytest.mark.parametrize(
-    "header, nm, metre",
+    "header",
     [
-        ("", 1, 1),
-        ("\ufeffwavelength, a, b, kd\r\n", 1, 1),
-        ("nm,Absorption,scattering,Kd(PAR)\n", 1, 1),
-        ("wavelength [nm],a [1/m],b (m^-1),K_d/m⁻¹\n", 1, 1),
-        ("λ/nm,a/cm⁻¹,b (cm−1),kd [ cm^{-1} ]\n", 1, 100),
-        ("wavelength_um,a 1/mm,b /mm,kd per mm\n", 1000, 1000),
-        ("Wavelength (µm),a [km-1],b [1/km],kd [/km]\n", 1000, 0.001),
-        ("microns,a,b,kd\n", 1000, 1),
+        "",
+        "\ufeffwavelength, a, b, kd\r\n",
+        "nm,Absorption,scattering,Kd\n",
+        '"wavelength","a","b","K_d"\n',
+        "wavelength [nm],a [1/m],b (m^-1),K_d/m⁻¹\n",
+        "λ/nm,a/m⁻¹,b (m−1),kd [ m^{-1} ]\n",
+        "wavelength_nm,a 1/m,b /m,kd\n",
     ],
 )
-def test_water_from_a_file(tmp_path: Path, header: str, nm: float, metre: float) -> None:
-    table = np.array([TANK.wavelengths / nm, *(getattr(TANK, n) / metre for n in ("a", "b", "kd"))])
+def test_water_from_a_file(tmp_path: Path, header: str) -> None:
+    table = np.array([TANK.wavelengths, *(getattr(TANK, name) for name in ("a", "b", "kd"))])
     text = header + "".join(",".join(map(repr, row)) + "\n" for row in table.T.tolist())
     path = tmp_path / "tank.csv"
     for separator, point in ((",", "."), (";", ","), ("\t", ",")):
@@ -363,6 +362,9 @@ def test_absorption_and_attenuation_are_enough(tmp_path: Path) -> None:
     "text, message",
     [
         ("nm,a [dB/m],b,kd\n" + ROWS, "a in another unit"),
+        ("nm,a [1/cm],b,kd\n" + ROWS, "a in another unit than 1/m"),
+        ("nm,a,b (km-1),kd\n" + ROWS, "b in another unit than 1/m"),
+        ("µm,a,b,kd\n.4,.5,1.3,.7\n", "in nm"),
         ("nm,a,b [cm],kd\n" + ROWS, "b in another unit"),
         ("nm,a,b,kd (%)\n" + ROWS, "K_d in another unit"),
         ("wavenumber [1/cm],a,b,kd\n" + ROWS, "wavelength in another unit"),

@@ -28,10 +28,8 @@ class Session:
         optimise: bool = True,
         providers: Sequence[str] = ("CPUExecutionProvider",),
     ) -> None:
-        self.path = Path(path)
-        self.threads = threads
-        self.optimise = optimise
-        self.providers = tuple(providers)
+        self.path, self.threads = Path(path), threads
+        self.optimise, self.providers = optimise, list(providers)
         self._opened: Any = None
         self._process = os.getpid()
 
@@ -51,20 +49,18 @@ class Session:
     def _open(self) -> Any:
         (ort,) = require("onnx", "onnxruntime")
         require_regular(self.path)
-        self.path.open("rb").close()  # for Python's own error if it may not be read
         options = ort.SessionOptions()
         options.log_severity_level = 3
-        threads = torch.get_num_threads() if self.threads is None else self.threads
-        options.intra_op_num_threads = threads
+        threads = self.threads
+        options.intra_op_num_threads = torch.get_num_threads() if threads is None else threads
         # threads that spin while they wait halve the speed of whatever runs beside them: two on two
         # cores then take 8 ms for our file of 256² instead of 5
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         if not self.optimise:
             options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         try:
-            return ort.InferenceSession(str(self.path), options, providers=list(self.providers))
-        # its exceptions have no common base, and no place in the public interface
-        except Exception as error:
+            return ort.InferenceSession(str(self.path), options, providers=self.providers)
+        except Exception as error:  # its exceptions have no common base
             reason = str(error).splitlines()[0]
             raise ValueError(f"{self.path}: ONNX Runtime cannot load it: {reason}") from error
 
