@@ -12,9 +12,9 @@ from PIL import Image
 from scenes import rand
 
 from uwaug.distance import Network, from_inverse
-from uwaug.distance.network import NAMED
+from uwaug.distance.network import _ADDRESS, _TRIED
 
-SMALL = NAMED["depth-anything-v2-small"]
+SMALL = _ADDRESS, _TRIED
 
 
 def side_lengths(path, shape) -> str:

@@ -239,7 +239,7 @@ WATERS: list[tuple[Any, dict[str, Any], str]] = [
     ("II", {"g": 1.1}, r"g must.*\[0, 1\].*1.1"),
     ("II", {"mu": math.nan}, "mu must.*nan"),
     ("II", {"tolerance": 1.0}, "tolerance.*1"),
-    ("II", {"camera": "Kodak"}, "no camera is called"),
+    ("II", {"camera": "Kodak"}, "camera must be one of .*Kodak"),
     ("II", {"surfaces": "matt"}, "surfaces must be one of grey, spectral"),
     ("II", {"color_matrix": 1.5}, "color_matrix must be"),
     ("sea", {}, r"water must be one of I, IA.*got 'sea'"),

@@ -140,9 +140,8 @@ class Placed(Source):
 
     def ranges(self) -> dict[str, Range | None]:
         """See `Noun.ranges`; of an end that is None, the share of contrast that is left there."""
-        free = {"near_left": NEAR_LEFT, "far_left": FAR_LEFT}
-        ends = {"near_left": self.near, "far_left": self.far}
-        return {**super().ranges(), **{n: s for n, s in free.items() if ends[n] is None}}
+        lefts = (("near_left", self.near, NEAR_LEFT), ("far_left", self.far, FAR_LEFT))
+        return {**super().ranges(), **{name: left for name, end, left in lefts if end is None}}
 
     def reach(self) -> tuple[float, float] | None:
         return (self._ends["near"][0], self._ends["far"][1]) if self.has_size else None

@@ -28,7 +28,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -69,9 +69,8 @@ SCATTERED_BY_MINERALS = 1.1513 * (400 / WAVELENGTHS) ** 1.7
 @plain
 @dataclass(frozen=True)
 class Constituents(Noun):
-    """Contents of a water: numbers, or ranges from which `RandomUnderwater` draws for each picture.
-
-    A range (low, high) is drawn uniformly in its logarithm.
+    """Contents of a water: numbers, or ranges (low, high) from which `RandomUnderwater` draws for
+    each picture, uniformly in the logarithm.
 
     Args:
         chlorophyll, cdom, minerals: amounts, see `Water.from_constituents`.
@@ -119,7 +118,11 @@ class Constituents(Noun):
     @property
     def name(self) -> str:
         """Contents that are not 0, as `parse` reads them."""
-        texts = [f"{name}={_text(getattr(self, name))}" for name in UNITS if getattr(self, name)]
+        texts = []
+        for name, value in self.amounts.items():
+            ends = value if isinstance(value, tuple) else (value,)
+            if any(ends):
+                texts.append(f"{name}={':'.join(repr(end).removesuffix('.0') for end in ends)}")
         return ",".join(texts) or "chlorophyll=0"
 
     @property
@@ -128,20 +131,15 @@ class Constituents(Noun):
         return not self.random()
 
     @property
-    def amounts(self) -> dict[str, float]:
-        """Amount of each content, of one water."""
+    def amounts(self) -> dict[str, Any]:
+        """Amount of each content, or its range."""
         return asdict(self)
 
     def holds(self, amounts: Mapping[str, float]) -> bool:
         """True if a water with these amounts can be drawn."""
-        if amounts.keys() != self._ends.keys():
-            return False
-        return all(low <= amounts[n] <= high for n, (low, high, _) in self._ends.items())
-
-
-def _text(value: Range) -> str:
-    numbers = value if isinstance(value, tuple) else (value,)
-    return ":".join(repr(number).removesuffix(".0") for number in numbers)
+        ends = self._ends
+        same = amounts.keys() == ends.keys()
+        return same and all(low <= amounts[n] <= high for n, (low, high, _) in ends.items())
 
 
 def optical_properties(amounts: Mapping[str, float]) -> Array:

@@ -58,20 +58,17 @@ class Scattering:
             values (N): > 0, in any unit. Between angles their logarithms are linear in that of the
                 angle, as is below the first; beyond the last they are constant.
 
-        Raises:
-            ValueError: if angles or values are none, or forward light grows without end.
+        A ValueError if they are none such, or forward light grows without end.
         """
         degrees, values = np.array(angles, float), np.array(values, float)
         if degrees.ndim != 1 or degrees.shape != values.shape or len(degrees) < 2:
-            raise ValueError(
-                f"angles and values must be rows (N), got {degrees.shape}, {values.shape}"
-            )
+            shapes = f"{degrees.shape}, {values.shape}"
+            raise ValueError(f"angles and values must be rows (N), got {shapes}")
         first, last = degrees[[0, -1]]
-        rises = bool((np.diff(degrees) > 0).all())
-        if not (rises and 0 <= first <= _FIRST_DEGREES and _LAST_DEGREES <= last <= 180):
-            got = f"{first:g} to {last:g}"
+        is_whole = 0 <= first <= _FIRST_DEGREES and _LAST_DEGREES <= last <= 180
+        if not (is_whole and (np.diff(degrees) > 0).all()):
             expected = f"from 0…{_FIRST_DEGREES:g}° to {_LAST_DEGREES:g}…180°"
-            raise ValueError(f"angles must rise {expected}, got {got}")
+            raise ValueError(f"angles must rise {expected}, got {first:g} to {last:g}")
         if not (np.isfinite(values).all() and values.min() > 0):
             raise ValueError("values must be finite and above 0")
         at, logs = np.log(np.radians(degrees).clip(_LEAST_ANGLE)), np.log(values)
@@ -91,9 +88,7 @@ class Scattering:
             station: such as "AUTEC 8" (clear ocean), "HAOCE 11" (coast) or "NUC 2200" (harbour),
                 with the water's own scattering; None: the mean of the three in the harbour, less
                 pure water, as Mobley takes it for particles everywhere (b_b/b = .0183).
-
-        Raises:
-            KeyError: if there is no such station; lists all.
+                A KeyError lists all.
 
         Source: Petzold, *Volume scattering functions for selected ocean waters*, SIO 72-78 (1972);
         Mobley, Gentili et al., Applied Optics 32 (1993) 7484.
@@ -109,9 +104,6 @@ class Scattering:
             slope: of their number by size, a power law, 3.1…4.9. Petzold's average is about
                 n = 1.10 and 3.58.
 
-        Raises:
-            ValueError: if a number is outside its domain.
-
         Source: Fournier and Jonasz, Proc. SPIE 3761 (1999) 62; Mobley et al., Applied Optics 41
         (2002) 1035.
         """
@@ -120,11 +112,10 @@ class Scattering:
         return _of(_fournier_forand(_nodes(), n, slope))
 
 
-# For `PointSpread.calibrated` and a subject that fills the view. μ keeps the paper's μ/g, so that
-# the veil stays below a white plate.
+# For `PointSpread.calibrated` and a subject that fills the view. μ keeps the μ/g of the paper, so
+# that the veil stays below a white plate.
 Scattering.CALIBRATED = Scattering(g=0.05, mu=0.075)
-# for `PointSpread.paper`
-Scattering.PAPER = Scattering(g=0.2, mu=0.3)
+Scattering.PAPER = Scattering(g=0.2, mu=0.3)  # for `PointSpread.paper`
 
 
 def _of(phase: Array) -> Scattering:

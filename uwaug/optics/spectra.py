@@ -4,6 +4,7 @@ import re
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -63,10 +64,9 @@ def wavelength_axis(values: ArrayLike) -> Array:
     axis = _frozen_array("wavelengths", values)
     if axis.ndim != 1 or axis.size == 0:
         raise ValueError(f"wavelengths must be 1-D and not empty, got shape {axis.shape}")
-    drops = np.flatnonzero(~(np.diff(axis) > 0))
-    if drops.size:
-        left, right = axis[drops[0] : drops[0] + 2]
-        raise ValueError(f"wavelengths must be strictly ascending, got {right:g} after {left:g}")
+    for before, after in pairwise(axis):
+        if not before < after:
+            raise ValueError(f"wavelengths must ascend strictly, got {after:g} after {before:g}")
     low, high = axis[[0, -1]]
     if not (low >= 100 and high <= 3000):
         raise ValueError(f"wavelengths must be in nm, between 100 and 3000, got {low:g}…{high:g}")
@@ -79,11 +79,10 @@ def spectrum(name: str, values: ArrayLike, axis: Array, channels: tuple[int, ...
     expected = (*axis.shape, *channels)
     if array.shape != expected:
         raise ValueError(f"{name} must have shape {expected}, as wavelengths, got {array.shape}")
-    for fault, bad in (("NaN or infinite", ~np.isfinite(array)), ("negative", array < 0)):
-        if bad.any():
-            nm = axis[bad.reshape(axis.size, -1).any(axis=1)]
-            places = ", ".join(f"{at:g}" for at in nm[:8]) + (", …" if nm.size > 8 else "")
-            raise ValueError(f"{name} has {bad.sum()} {fault} of {bad.size} values, at {places} nm")
+    bad = ~((array >= 0) & (array < np.inf))
+    if bad.any():
+        at = f"{axis[np.nonzero(bad)[0][0]]:g} nm, and {bad.sum()} of {bad.size} in all"
+        raise ValueError(f"{name} must be finite and ≥ 0, got {array[bad][0]:g} at {at}")
     return array
 
 
@@ -114,7 +113,11 @@ def read_spectra(
     lines = path.read_text("utf-8-sig", errors="replace").splitlines()
     sign = next((sign for sign in ";\t" if lines and sign in lines[0]), ",")
     texts = {number: line.split(sign) for number, line in enumerate(lines, 1)}
-    cells = {n: [cell.strip(' "') for cell in row] for n, row in texts.items() if any(row)}
+    cells = {
+        n: [cell.strip(' "') for cell in row]
+        for n, row in texts.items()
+        if any(map(str.strip, row))
+    }
     first = min(cells, default=0)
     announced = [table for table in tables if first and _announces(cells[first][1:], table)]
     names = ["wavelength", *(announced or tables)[0]]
