@@ -1,5 +1,6 @@
 """What the tests of uwaug.onnx share, in a module that a spawned worker can import by name."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ def in_water(module: Underwater, medium: Medium, image: Tensor, distance: Tensor
     return form(
         image.double(),
         distance.double(),
-        module.setting(medium.to(torch.float64)),
+        replace(module.setting, medium=medium.to(torch.float64)),
         plan=plan_of(module),
     )
 

@@ -78,7 +78,7 @@ def test_in_pictures(way: str, water: str) -> None:
 def test_the_loops_form_it_too() -> None:
     medium = glowing(WATERS["spectral"])
     degrade = Underwater(medium, None, development=Development("auto", saturation=1.2))
-    assert fast.can(IMAGE, DISTANCE, degrade.setting(medium))
+    assert fast.can(IMAGE, DISTANCE, replace(degrade.setting, medium=medium))
     exact = degrade(IMAGE.double(), DISTANCE.double())
     torch.testing.assert_close(degrade(IMAGE, DISTANCE).double(), exact, rtol=0, atol=1e-5)
 

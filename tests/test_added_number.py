@@ -52,13 +52,13 @@ with pytest.raises(ValueError, match="development.port"):
     augment.module()
 
 # it is an option of the command line, and replayed from what that writes
-line = "degrade photo.png --distance 2 --set development.port=1:2 --out wet.png"
+line = "degrade photo.png --distance 2 --set development.port=1:2 --out wet"
 done = CliRunner().invoke(app, line.split())
 assert done.exit_code == 0, done.output
-(sample,) = read_record(Path("wet.png.json"))["params"]["samples"]
+(sample,) = read_record(Path("wet/photo.png.json"))["params"]["samples"]
 assert 1 < sample["development"]["port"] < 2
-replay("wet.png.json", "again.png")
-assert Path("again.png").read_bytes() == Path("wet.png").read_bytes()
+replay("wet/photo.png.json", "again.png")
+assert Path("again.png").read_bytes() == Path("wet/photo.png").read_bytes()
 """
 
 

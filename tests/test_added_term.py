@@ -13,7 +13,7 @@ GLOW = {
     "optics/medium.py": {
         "    snow: tuple[MarineSnow | None, ...] = ()\n\n    def __post": (
             "    snow: tuple[MarineSnow | None, ...] = ()\n"
-            "    glow: Tensor = torch.zeros(())\n\n    def __post"
+            "    glow: Tensor = absent()\n\n    def __post"
         ),
         "        return {}\n": (
             '        return {"glow": self.glow[..., None, None] * -torch.expm1(-z)}\n'

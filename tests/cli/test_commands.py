@@ -14,9 +14,8 @@ from PIL import ExifTags, Image
 import uwaug
 from uwaug.cli.choices import with_tables
 from uwaug.cli.degrade import degrade
-from uwaug.cli.fit import _jpeg_quality
 from uwaug.distance import MadeUp, Metres, Plane, Relative
-from uwaug.optics.view import WIDE
+from uwaug.fitting.data import jpeg_quality
 from uwaug.transforms.random_underwater import SEVERITIES
 
 
@@ -44,10 +43,64 @@ def test_the_example_of_degrade_runs_on_a_depth_cameras_maps(folder, run):
     assert "2 of 2 pictures written to wet" in out
     assert {path.name for path in (folder / "wet").iterdir()} == {
         *("a.png", "a.png.json", "b.png", "b.png.json"),
-        *("index.csv", "sheet.jpg", "uwaug-run.json"),
+        *("index.csv", "table.csv", "sheet.jpg", "uwaug-run.json"),
     }
     with open("wet/index.csv", newline="") as file:
         assert [row["status"] for row in csv.DictReader(file)] == ["written", "written"]
+    # the table beside the results makes them again
+    line = ("degrade", "wet/table.csv", *MAPS[2:], "--out", "again")
+    assert run(*line)[0] == 0
+    assert written(folder / "again") == written(folder / "wet")
+
+
+def test_a_dry_run_shows_rows_and_what_has_none(folder, run):
+    for n in range(8):
+        Image.new("RGB", (32, 24)).save(f"photos/c{n}.png")
+    before = sorted(folder.rglob("*"))
+    code, out, err = run("degrade", "photos", *MAPS, "--dry-run", "--out", "wet")
+    assert (code, err) == (0, "")
+    counts, header, *rows = out.splitlines()
+    assert counts == "10 pictures; 2 have maps, 8 have none: c0.png, c1.png and others"
+    assert header == "name,picture,distance,labels,split,film,time"
+    assert rows[0] == "a.png,photos/a.png,depth/a.png,,,,"
+    assert len(rows) == 8
+    assert sorted(folder.rglob("*")) == before
+    code, _, err = run("degrade", "photos", *MAPS, "--out", "wet")
+    assert code == 2
+    assert "8 of 10 pictures have no map, such as c0.png: write it in the column distance" in err
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_table_says_maps_labels_films_and_splits(folder, run):
+    rows = ("photos/b.png,depth/a.png,valid,f", "photos/a.png,depth/a.png,,f")
+    text = "\n".join(["picture,distance,split,film", *rows])
+    (folder / "t.csv").write_text(text)
+    code, out, err = run("degrade", "t.csv", *MAPS[2:], "--set", "drift=.5", "--out", "wet")
+    assert (code, err) == (0, "")
+    assert out.startswith("2 pictures; 2 have maps; 1 are of val, 1 are of no split; 1 film\n")
+    assert "val is wet: 1 pictures" in out
+    records = [json.loads(Path(f"wet/photos/{n}.png.json").read_text()) for n in "ba"]
+    assert [r["params"]["samples"][0]["moved"] for r in records] == [0, 0.5]
+    for flags in (("--distance", "depth"), ("--labels", "depth"), ("--sequence",)):
+        code, _, err = run("degrade", "t.csv", *flags, "--out", "other")
+        assert (code, f"t.csv is a table, which says it: leave out {flags[0]}" in err) == (2, True)
+    code, _, err = run("degrade", "t.csv", "--distance", "3", "--out", "other")
+    assert (code, "the table names maps: leave one out" in err) == (2, True)
+
+
+def test_pictures_that_stay_dry(folder, run):
+    for n in range(6):
+        Image.new("RGB", (32, 24), (n, 90, 60)).save(f"photos/c{n}.png")
+    flags = ("--distance", "2", "--set", "p=0.4", "--workers", "1", "--sheet", "--out", "wet")
+    code, out, err = run("degrade", "photos", *flags)
+    assert (code, err) == (0, "")
+    assert "8 of 8 pictures written" in out
+    records = [json.loads(path.read_text()) for path in Path("wet").glob("*.png.json")]
+    dry = [r["row"]["name"] for r in records if not r["params"]["samples"][0]["applied"]]
+    assert 0 < len(dry) < 8
+    for name in dry:
+        made, photo = (np.array(Image.open(f"{place}/{name}")) for place in ("wet", "photos"))
+        assert np.array_equal(made, photo)
 
 
 def test_grades_and_maps(folder, run):
@@ -102,19 +155,6 @@ def test_pictures_alone_get_distances_that_are_made_up(folder, run):
     assert written(folder / "wet") == written(folder / "again")
 
 
-def test_labels_of_pictures_alone(folder, run):
-    (folder / "labels").mkdir()
-    for name in ("a", "b"):
-        Image.fromarray(np.ones((24, 32), np.uint8)).save(f"labels/{name}.png")
-    flags = ("--labels", "labels", "--min-contrast", ".01", "--contrast", ".5")
-    code, out, err = run("degrade", "photos", *flags, "--workers", "1", "--out", "wet")
-    assert (code, err) == (0, "")
-    assert "2 of 2 labels kept" in out
-    plain = json.loads(next((folder / "wet").rglob("a.png.json")).read_text())
-    assert plain["recipe"]["transform"]["distance"] == {"kind": "MadeUp"}
-    assert plain["objects"][0]["contrast"] == pytest.approx(plain["contrast"], abs=1e-3)
-
-
 def test_the_help_of_degrade_groups_its_flags(run):
     code, out, err = run("degrade", "--help")
     assert (code, err) == (0, "")
@@ -124,7 +164,7 @@ def test_the_help_of_degrade_groups_its_flags(run):
         title: re.findall(r"^│ [* ]*--([\w-]+)", box, re.MULTILINE)
         for title, box in zip(boxes[::2], boxes[1::2], strict=True)
     }
-    assert flags["Labels"] == ["labels", "min-contrast"]
+    assert flags["Labels"] == ["labels", "classes", "min-contrast"]
     assert "focal-px" in flags["Distance"]
     names = {name.rstrip("_").replace("_", "-") for name in inspect.signature(degrade).parameters}
     every = [name for group in flags.values() for name in group]
@@ -132,8 +172,9 @@ def test_the_help_of_degrade_groups_its_flags(run):
 
 
 def test_a_record_takes_no_other_options(folder, run):
-    assert run("degrade", "photos/a.png", "--distance", "3", "--out", "a.png")[0] == 0
-    code, _, err = run("degrade", "a.png.json", "--water", "9C", "--seed", "0", "--out", "b.png")
+    assert run("degrade", "photos/a.png", "--distance", "3", "--out", "wet")[0] == 0
+    record = "wet/a.png.json"
+    code, _, err = run("degrade", record, "--water", "9C", "--seed", "0", "--out", "b.png")
     assert code == 2
     assert "a.png.json is a record, which says all but --out: not --seed, --water" in err
     assert not (folder / "b.png").exists()
@@ -144,14 +185,14 @@ def test_options_reach_the_transform(folder, run):
         "[water]\nmixing = [0, 1]\n[development]\nsaturation = 1.2\n"
     )
     code, _, err = run(
-        *("degrade", "photos/a.png", "--distance", "3", "--out", "wet.png", "--workers", "1"),
+        *("degrade", "photos/a.png", "--distance", "3", "--out", "wet", "--workers", "1"),
         *("--water", "3C", "--water", "II", "--contrast", ".2:.5", "--options", "options.toml"),
         *("--set", "water.vertical_depth=0:5", "--set", "development.tone=1"),
         *("--set", "water.field=none", "--set", "water.snow.density=500:5000"),
         *("--set", "development.noise.full_well=2000:9000", "--set", "quality=80"),
     )
     assert (code, err) == (0, "")
-    recipe = json.loads((folder / "wet.png.json").read_text())["recipe"]
+    recipe = json.loads((folder / "wet/a.png.json").read_text())["recipe"]
     transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
     water = transform.water
     assert water.waters == ("3C", "II")
@@ -201,11 +242,11 @@ def test_pictures_like_a_photograph(folder, run, monkeypatch):
 
 def test_a_preset_degrades_as_its_module(folder, run):
     flags = ("--distance", "0.5", "--preset", "tank-proposed-1", "--set", "water.field=none")
-    assert run("degrade", "photos/a.png", *flags, "--out", "tank.npy", "--workers", "1")[0] == 0
+    assert run("degrade", "photos/a.png", *flags, "--out", "tank", "--workers", "1")[0] == 0
     image = torch.from_numpy(np.array(Image.open("photos/a.png"))).permute(2, 0, 1)
     module = uwaug.load_preset("tank-proposed-1").module()
     wanted = module(image, torch.full((1, 24, 32), 0.5)).permute(1, 2, 0)
-    made = torch.from_numpy(np.load("tank.npy"))
+    made = torch.from_numpy(np.array(Image.open("tank/a.png")))
     assert (made.int() - wanted.int()).abs().max() <= 1
 
 
@@ -223,10 +264,10 @@ def test_a_preset_degrades_as_its_module(folder, run):
 )
 @pytest.mark.parametrize("preset", ["survey", "tank-proposed-1"])
 def test_a_preset_takes_distances_of_all_kinds(folder, run, preset, flags, source):
-    line = ("degrade", "photos/a.png", "--preset", preset, *flags.split(), "--out", "wet.png")
+    line = ("degrade", "photos/a.png", "--preset", preset, *flags.split(), "--out", "wet")
     code, _, err = run(*line)
     assert (code, err) == (0, "")
-    recipe = json.loads((folder / "wet.png.json").read_text())["recipe"]
+    recipe = json.loads((folder / "wet/a.png.json").read_text())["recipe"]
     transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
     wanted = replace(uwaug.load_preset(preset), distance=source)
     assert transform.to_dict() == wanted.to_dict()
@@ -236,15 +277,15 @@ def test_a_preset_takes_distances_of_all_kinds(folder, run, preset, flags, sourc
 def test_the_file_of_a_preset_is_a_file_of_options(folder, run, preset):
     np.save("t.npy", np.linspace(0, 1, 24 * 32).reshape(24, 32))
     (folder / "p.toml").write_text(run("preset", "show", preset)[1])
-    line = "degrade photos/a.png --distance t.npy --options p.toml --out a.npy"
+    line = "degrade photos/a.png --distance t.npy --options p.toml --out wet"
     code, _, err = run(*line.split())
     assert (code, err) == (0, "")
-    record = json.loads((folder / "a.npy.json").read_text())
+    record = json.loads((folder / "wet/a.png.json").read_text())
     transform = uwaug.load_preset(preset)
     assert record["recipe"]["transform"] == transform.to_dict()
     image = torch.from_numpy(np.array(Image.open("photos/a.png"))).permute(2, 0, 1)
     wanted = transform.transform(image, torch.from_numpy(np.load("t.npy"))[None], record["params"])
-    assert np.array_equal(np.load("a.npy"), wanted.permute(1, 2, 0))
+    assert np.array_equal(np.array(Image.open("wet/a.png")), wanted.permute(1, 2, 0))
 
 
 def test_a_table_of_another_kind_takes_the_place_of_one(tmp_path):
@@ -261,27 +302,10 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
     water = "wavelength,a,b,kd\n400,.5,1,.7\n700,.7,1,.8\n"
     (folder / "own/harbour.csv").write_text(water)
     (folder / "own/o.toml").write_text('water = "harbour.csv"\n')
-    line = ("degrade", "photos/a.png", "--plain", "--distance", "2", "--out", "wet.png")
+    line = ("degrade", "photos/a.png", "--plain", "--distance", "2", "--out", "wet")
     assert run(*line, "--options", "own/o.toml")[0] == 0
-    (sample,) = json.loads((folder / "wet.png.json").read_text())["params"]["samples"]
+    (sample,) = json.loads((folder / "wet/a.png.json").read_text())["params"]["samples"]
     assert sample["water"] == {"waters": ["harbour"], "mixing": 0, "vertical_depth": 0, "g": 0.05}
-
-
-def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
-    flags = ("degrade", "photos", *MAPS, "--out", "wet")
-    whole = (folder / "depth/a.png").read_bytes()
-    (folder / "depth/a.png").write_bytes(b"no picture")
-    code, out, err = run(*flags)
-    assert code == 1
-    assert "1 of 2 pictures written" in out
-    assert "a.png" in err
-    (folder / "depth/a.png").write_bytes(whole)
-    code, _, err = run(*flags)
-    assert code == 1
-    assert "wet is not empty, but of a run: " in err
-    code, out, _ = run(*flags, "--resume")
-    assert code == 0
-    assert "1 of 2 pictures written to wet, 1 were there" in out
 
 
 @pytest.mark.parametrize(
@@ -304,7 +328,7 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ),
         (
             "fit --clean a.png --observed b.png --distance 3 --out f.json --surfaces grey",
-            "--surfaces grey is of --model waters",
+            "--surfaces is of --model waters",
         ),
         (
             "fit --clean a.png --observed b.png --distance 3 --out f.json --mu .02",
@@ -318,6 +342,7 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("degrade photos --set water.vertical_depth=-1 --out wet", "Error: vertical_depth must be"),
         ("degrade photos --set vertical_depth=1 --out wet", "has no 'vertical_depth', only water,"),
         ("degrade photos --out photos", "is read, and would be written over: another folder?"),
+        ("degrade photos/a.png --out a.jpg", "must be a folder, got a.jpg"),
         ("degrade photos --out depth", "depth is not empty, and of no run"),
         ("degrade photos --distance 3 --set turbidity=2 --out wet", "turbidity"),
         (
@@ -337,6 +362,8 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
         ("degrade photos --like nothing.png --out wet", "nothing.png"),
         ("degrade photos --severity 6 --out wet", "1 (mild) to 5 (severe), or all, got '6'"),
         ("degrade photos --severity 2 --contrast .5 --out wet", "--severity is a contrast"),
+        ("degrade photos --severity 2 --set water.contrast=.5 --out wet", "--severity is a contr"),
+        ("degrade photos --severity 2 --options murk.toml --out wet", "--severity is a contrast"),
         ("degrade photos --maps png --out wet", "maps must be"),
         ("export --out x.onnx", "--preset"),
         ("export survey --preset survey --out x.onnx", "give one preset"),
@@ -370,6 +397,7 @@ def test_a_broken_map_fails_alone_and_resume_goes_on(folder, run):
 )
 def test_what_is_refused_in_one_line(folder, run, line, words):
     (folder / "night.toml").write_text("[ligth]\ndaylight = 0.2\n")
+    (folder / "murk.toml").write_text("[water]\ncontrast = 0.4\n")
     code, _, err = run(*line.split())
     assert code in (1, 2)
     assert err.startswith("Error: ")
@@ -407,9 +435,9 @@ def test_a_fit_is_a_preset(folder, run):
     assert code == 0
     assert "beta" in out
     flags = ("--distance", "z.npy", "--preset", "fit.json", "--workers", "1")
-    assert run("degrade", "clean.npy", *flags, "--out", "again.npy")[0] == 0
-    assert np.abs(np.load("again.npy") - np.load("observed.npy")).max() < 0.01
-    for line in ("degrade clean.npy --distance 3 --out b.npy", "export --out fit.onnx"):
+    assert run("degrade", "clean.npy", *flags, "--out", "again")[0] == 0
+    assert np.abs(np.load("again/clean.npy") - np.load("observed.npy")).max() < 0.01
+    for line in ("degrade clean.npy --distance 3 --out b", "export --out fit.onnx"):
         code, _, err = run(*line.split(), "--preset", "fit.json", "--water", "II")
         assert code == 2
         assert "holds coefficients, which no water replaces" in err
@@ -448,7 +476,7 @@ def test_the_quality_of_a_jpeg_file(tmp_path, quality):
     for ending, expected in (("jpg", quality), ("png", None)):
         path = tmp_path / f"a.{ending}"
         picture.save(path, quality=quality)
-        assert _jpeg_quality(path) == (expected and pytest.approx(expected, abs=1))
+        assert jpeg_quality(path) == (expected and pytest.approx(expected, abs=1))
 
 
 def test_a_veil_is_estimated_without_a_clean_picture(folder, run):
@@ -483,9 +511,9 @@ def test_a_haze_of_encoded_values_is_fitted_and_made_again(folder, run):
     assert "--color-space" not in out
     numbers = json.loads((folder / "values.json").read_text())["parameters"]
     assert numbers["beta_red"]["value"] == pytest.approx(0.3, rel=0.01)
-    flags = ("--distance", "z.npy", "--preset", "values.json", "--out", "again.npy")
+    flags = ("--distance", "z.npy", "--preset", "values.json", "--out", "again")
     assert run("degrade", "clean.npy", *flags)[0] == 0
-    assert np.abs(np.load("again.npy").astype(int) - np.load("observed.npy")).max() <= 2
+    assert np.abs(np.load("again/clean.npy").astype(int) - np.load("observed.npy")).max() <= 2
 
 
 def test_what_a_fit_of_waters_takes_for_known_is_given(folder, run, monkeypatch):
@@ -591,10 +619,6 @@ def test_other_formats_are_told_of(folder, run):
     code, _, err = run("degrade", "photos/g.MP4", "--out", "film")
     assert (code, err.count("g.MP4")) == (1, 1)
     assert "make frames" in err
-    code, _, err = run("degrade", "photos/a.png", "--distance", "3", "--out", "one.webp")
-    assert code == 2
-    assert "one.webp: pictures are written as .npy, " in err
-    assert not (folder / "one.webp").exists()
 
 
 @pytest.mark.parametrize("orientation", [1, 3, 6])
@@ -619,19 +643,21 @@ def test_plain_pictures_have_nothing_random(folder, run):
     """`--water 3C --contrast .4` alone draws a depth, a white balance, a tone, a saturation."""
     (folder / "options.toml").write_text("[development]\ntone = 1.2\n")
     line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--distance", "2", "--out")
-    assert run(*line, "wet.png", "--seed", "1")[0] == 0
-    assert run(*line, "again.png", "--seed", "2")[0] == 0
-    assert (folder / "wet.png").read_bytes() == (folder / "again.png").read_bytes()
+    assert run(*line, "wet", "--seed", "1")[0] == 0
+    assert run(*line, "again", "--seed", "2")[0] == 0
+    set_ = ("degrade", "photos/a.png", "--plain", "--set", "water=3C", "--distance", "2", "--out")
+    assert run(*set_, "set")[0] == 0
+    assert written(folder / "wet") == written(folder / "again") == written(folder / "set")
     law = uwaug.PointSpread.calibrated()
     water = uwaug.Medium.from_water("3C", vertical_depth=0.0, g=0.05, point_spread=law)
     image = torch.from_numpy(np.array(Image.open("photos/a.png"))).permute(2, 0, 1)
     wanted = uwaug.Underwater(water)(image, torch.full((1, 24, 32), 2.0)).permute(1, 2, 0)
-    made = torch.from_numpy(np.array(Image.open("wet.png")))
+    made = torch.from_numpy(np.array(Image.open("wet/a.png")))
     assert (made.int() - wanted.int()).abs().max() <= 2
     # what is named is done, and nothing else
     named = ("--contrast", ".5", "--set", "water.vertical_depth=3", "--options", "options.toml")
-    assert run(*line, "named.png", *named)[0] == 0
-    (sample,) = json.loads((folder / "named.png.json").read_text())["params"]["samples"]
+    assert run(*line, "named", *named)[0] == 0
+    (sample,) = json.loads((folder / "named/a.png.json").read_text())["params"]["samples"]
     water = {"waters": ["3C"], "contrast": 0.5, "mixing": 0, "vertical_depth": 3, "g": 0.05}
     assert sample["water"] == water
     camera = {"exposure": 0, "white_balance": 0, "saturation": 1, "gamut": 0, "tone": 1.2}
@@ -641,51 +667,37 @@ def test_plain_pictures_have_nothing_random(folder, run):
 def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run):
     planar = torch.linspace(1, 4, 24 * 32).reshape(1, 24, 32)
     np.save("planar.npy", planar[0].numpy())
-    np.save("along.npy", uwaug.distance.along_ray(planar, WIDE.focal(32))[0].numpy())
-    line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--distance")
-    assert run(*line, "planar.npy", "--set", "distance.planar=true", "--out", "a.npy")[0] == 0
-    assert run(*line, "along.npy", "--out", "b.npy")[0] == 0
-    assert run(*line, "planar.npy", "--out", "c.npy")[0] == 0
-    made, wanted, flat = (np.load(f"{name}.npy").astype(int) for name in "abc")
+    np.save("along.npy", uwaug.distance.along_ray(planar, uwaug.View(75).focal(32))[0].numpy())
+    line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--view", "75", "--distance")
+    assert run(*line, "planar.npy", "--set", "distance.planar=true", "--out", "a")[0] == 0
+    assert run(*line, "along.npy", "--out", "b")[0] == 0
+    assert run(*line, "planar.npy", "--out", "c")[0] == 0
+    made, wanted, flat = (np.array(Image.open(f"{n}/a.png")).astype(int) for n in "abc")
     assert np.abs(made - wanted).max() == 0
     assert np.abs(flat - wanted).max() > 5
 
 
 def test_a_meter_that_is_switched_off_in_words(folder, run):
     for word in ("False", "off", "no"):
-        line = (
-            "degrade",
-            "photos/a.png",
-            "--distance",
-            "2",
-            "--set",
-            f"development.metered={word}",
-        )
-        code, _, err = run(*line, "--out", f"{word}.png")
+        flags = ("--distance", "2", "--set", f"development.metered={word}", "--out", word)
+        code, _, err = run("degrade", "photos/a.png", *flags)
         assert (code, err) == (0, "")
-        recipe = json.loads(Path(f"{word}.png.json").read_text())["recipe"]
+        recipe = json.loads(Path(word, "a.png.json").read_text())["recipe"]
         assert recipe["transform"]["development"]["metered"] is False
 
 
 def test_the_view_of_the_camera(folder, run):
-    line = (
-        "degrade",
-        "photos/a.png",
-        "--distance",
-        "depth/a.png",
-        "--unit",
-        "mm",
-        "--holes",
-        "fill",
-    )
-    line = (*line, "--set", "distance.planar=true", "--out")
-    for name, flags in {"wide": (), "px": ("--focal-px", "40"), "narrow": ("--view", "20")}.items():
-        code, _, err = run(*line, f"{name}.png", *flags)
+    maps = ("--distance", "depth/a.png", "--unit", "mm", "--holes", "fill")
+    line = ("degrade", "photos/a.png", *maps, "--set", "distance.planar=true", "--out")
+    for name, flags in {"px": ("--focal-px", "40"), "narrow": ("--view", "20")}.items():
+        code, _, err = run(*line, name, *flags)
         assert (code, err) == (0, "")
-    assert len({Path(f"{name}.png").read_bytes() for name in ("wide", "px", "narrow")}) == 3
-    code, _, err = run(*line, "d.png", "--view", "20", "--focal-px", "40")
-    assert (code, "--view and --focal-px say the same" in err) == (2, True)
-    code, _, err = run(*line, "d.png", "--focal-px", "2.8")
+    assert len({Path(name, "a.png").read_bytes() for name in ("px", "narrow")}) == 3
+    code, _, err = run(*line, "d")
+    assert (code, "planar maps need the camera's view" in err) == (1, True)
+    code, _, err = run(*line, "d", "--view", "20", "--focal-px", "40")
+    assert (code, "degrees and focal_px say the same" in err) == (2, True)
+    code, _, err = run(*line, "d", "--focal-px", "2.8")
     assert "focal_px must be in px of the picture, got 2.8: a lens of f mm" in err
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from uwaug import RandomUnderwater, RandomWater
 from uwaug.distance import Inverse, Metres, Network, Relative, Source, along_ray
 from uwaug.distance.sizes import brought_to, same_aspect
-from uwaug.optics.view import WIDE
+from uwaug.optics.view import View
 
 H, W = 96, 132
 
@@ -94,7 +94,7 @@ def test_a_small_map_gives_nearly_the_scene_of_a_whole_one(
     source: Source, z: Tensor, host: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("uwaug._support.checks.on_host", lambda x: host)
-    augment = RandomUnderwater(RandomWater("3C", field=None), distance=source)
+    augment = RandomUnderwater(RandomWater("3C", field=None), distance=source, view=70)
     image = torch.rand(2, 3, H, W)
     record = augment.make_params(image)
     far, near = (augment.scenes(image, torch.stack([m, m]), record).metres for m in (z, sampled(z)))
@@ -102,7 +102,7 @@ def test_a_small_map_gives_nearly_the_scene_of_a_whole_one(
     away = (near / far).log().abs()
     assert away.median() < 0.01
     assert (away < 0.05).double().mean() > 0.9
-    planar = along_ray(scene(), WIDE.focal(W)) if source == Metres(planar=True) else scene()
+    planar = along_ray(scene(), View(70).focal(W)) if source == Metres(planar=True) else scene()
     assert torch.allclose(far[0], planar, rtol=1e-3)
 
 

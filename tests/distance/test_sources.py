@@ -103,7 +103,7 @@ def test_ends_are_placed_in_the_water(kind: Any, ends: Any, metres: Any, placed:
 REFUSED: list[tuple[Any, Any, str]] = [
     (Metres(), HOLED, r"NaN at 1, negative at 1 and zero at 1 of 8 pixels: give holes="),
     (Metres(), 2000 * (T + 1), "metres.*millimetres"),
-    (Metres(planar=True), T + 1, "focal_px must be finite and > 0 px, got 0.0"),
+    (Metres(planar=True), T + 1, "planar maps need the camera's view: give view="),
     (Metres("fill"), 0 * T, "have a known pixel"),
     (Relative(), T + 1, r"t must lie in \[0, 1\]"),
     (Inverse(), 0 * T, "inverse must vary"),

@@ -66,7 +66,7 @@ def formed(degrade: Underwater, image: Tensor, z: Tensor, most: float, *field: T
     precision.
     """
     z, values = z.float(), image / 255 if image.dtype == torch.uint8 else image
-    assert fast.can(image, z, degrade.setting(degrade.medium.to(torch.float32)))
+    assert fast.can(image, z, replace(degrade.setting, medium=degrade.medium.to(torch.float32)))
     ours = degrade(image, z, *(x.float() for x in field))
     exact = degrade(values.double(), z.double(), *(x.float().double() for x in field))
     if image.dtype == torch.uint8:  # rounded, and clipped as bytes are

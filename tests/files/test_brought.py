@@ -17,7 +17,7 @@ from uwaug.distance import Metres
 from uwaug.files import (
     Recipe,
     degrade,
-    find_items,
+    propose,
     read_distance,
     read_picture,
     read_record,
@@ -156,9 +156,8 @@ def exr_pixels(path: str) -> Any:
 def test_an_exr_stays_linear_light() -> None:
     bright = LIGHT.copy()
     bright[0, 0] = 50  # a lamp
-    items = find_items(Path(save_exr("a.exr", {"RGB": bright})).resolve())
-    degrade(RECIPE, items, "wet.exr")
-    record = read_record(Path("wet.exr.json"))
+    degrade(RECIPE, propose(save_exr("a.exr", {"RGB": bright})), "wet")
+    record = read_record(Path("wet/a.exr.json"))
     assert record["color_space"] == "linear"
     linear = RandomUnderwater(
         WATER, distance=2.0, development=RandomDevelopment(color_space="linear")
@@ -166,10 +165,10 @@ def test_an_exr_stays_linear_light() -> None:
     image = torch.from_numpy(bright).permute(2, 0, 1)
     expected = linear.transform(image, None, record["params"])
     assert expected.max() > 1
-    assert torch.equal(exr_pixels("wet.exr"), expected)
-    replay("wet.exr.json", "again.exr")
-    assert Path("again.exr").read_bytes() == Path("wet.exr").read_bytes()
-    replay("wet.exr.json", "shown.png")
+    assert torch.equal(exr_pixels("wet/a.exr"), expected)
+    replay("wet/a.exr.json", "again.exr")
+    assert Path("again.exr").read_bytes() == Path("wet/a.exr").read_bytes()
+    replay("wet/a.exr.json", "shown.png")
     shown = linear_to_srgb(expected.clamp(0, 1))
     assert (read_picture("shown.png") - shown).abs().max() < 1e-4
 
@@ -178,10 +177,11 @@ def test_light_and_coded_pictures_become_each_other() -> None:
     save("a.png", pixels(H, W))
     save_exr("light/a.exr", {"RGB": LIGHT})
     assert (read_picture("light/a.exr") - read_picture("a.png") / 255).abs().max() < 1e-6
-    degrade(RECIPE, find_items("a.png"), "wet.exr")
-    degrade(RECIPE, find_items("a.png"), "wet.png")
+    (row,) = propose("a.png")
+    degrade(RECIPE, [row._replace(name="a.exr")], "wet")  # the name says the format
+    replay("wet/a.exr.json", "wet.png")
     made = read_picture("wet.png") / 255
-    assert (read_picture("wet.exr") - made).abs().max() < 0.5 / 255 + 1e-5
+    assert (read_picture("wet/a.exr") - made).abs().max() < 0.5 / 255 + 1e-5
 
 
 def test_a_folder_of_a_renderer() -> None:
@@ -190,16 +190,16 @@ def test_a_folder_of_a_renderer() -> None:
         save_exr(f"depth/{name}.exr", {"V": Z})
         save_exr(f"apart/{name}.exr", {"RGB": LIGHT})
     recipe = Recipe(RandomUnderwater(WATER))
-    degrade(recipe, find_items("render", "render"), "own")
-    degrade(recipe, find_items("apart", "depth"), "other")
+    degrade(recipe, propose("render", "render"), "own")
+    degrade(recipe, propose("apart", "depth"), "other")
     for name in "ab":
         assert torch.equal(exr_pixels(f"own/{name}.exr"), exr_pixels(f"other/{name}.exr"))
     # maps beside pictures are none
     save("render/c.png", pixels(H, W))
     save_exr("render/c_depth.exr", {"V": Z})
-    assert [item.name for item in find_items("render")] == ["a.exr", "b.exr", "c.png"]
+    assert [row.name for row in propose("render")] == ["a.exr", "b.exr", "c.png"]
     with pytest.raises(ValueError, match="no pictures in depth"):
-        find_items("depth")
+        propose("depth")
 
 
 # Maps
@@ -356,16 +356,10 @@ ADVICE: list[tuple[str, str, int, str]] = [
     ("bytes.png", "", 1, "8 bits are too few"),
     ("shares.npy", "", 0, "distances lie in 0…1, which looks relative: "),
     ("shares.npy", RELATIVE, 0, ""),
-    (
-        "zeros.npy",
-        BY_INVERSE,
-        0,
-        "2 % of a map are 0, a gap away from all other values: unknown?",
-    ),
+    ("zeros.npy", BY_INVERSE, 0, "2 pictures, such as 0.png, have maps with 0, or another end"),
     ("zeros.npy", f"{BY_INVERSE} --holes far", 0, ""),
     ("zeros.npy", f"{BY_INVERSE} --sequence", 0, "each frame's map is stretched from near to far"),
-    # disparities are not taken for millimetres
-    ("disparity.png", BY_INVERSE, 0, "1.6 % of a map are 0, a gap away from all other values"),
+    ("disparity.png", BY_INVERSE, 0, "have maps with 0, or another end"),
 ]
 
 
@@ -442,7 +436,7 @@ def test_metres_of_a_sky_in_files() -> None:
     save("photos/a.png", pixels(H, W))
     recipe = Recipe(RandomUnderwater(WATER, distance=Metres()))
     for name in ("sky", "inf"):
-        degrade(recipe, find_items("photos", name), f"wet-{name}")
+        degrade(recipe, propose("photos", name), f"wet-{name}")
     assert same("wet-sky", "wet-inf")
 
 

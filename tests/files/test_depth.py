@@ -7,7 +7,7 @@ from networks import mean_of_channels
 from PIL import Image
 
 from uwaug.distance import Network, from_inverse
-from uwaug.files import find_items, read_distance, read_picture
+from uwaug.files import propose, read_distance, read_picture
 
 PLAIN = ("--mean", "0,0,0", "--std", "1,1,1", "--short-side", "24", "--multiple", "1")
 
@@ -71,7 +71,7 @@ def test_maps_do_not_depend_on_workers_and_are_no_pictures(network, tmp_path, ru
     for name in ("a.png", "b.png", "more/c.png", "sheet.jpg"):
         one = (tmp_path / "photos/one" / name).read_bytes()
         assert one == (tmp_path / "two" / name).read_bytes()
-    assert [item.name for item in find_items("photos")] == ["a.png", "b.png", "more/c.png"]
+    assert [row.name for row in propose("photos")] == ["a.png", "b.png", "more/c.png"]
 
 
 def test_what_goes_wrong_is_named(network, tmp_path, run):

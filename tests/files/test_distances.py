@@ -8,8 +8,8 @@ from filing import metres, pixels, save
 
 from uwaug import RandomUnderwater
 from uwaug.distance import Inverse, MadeUp, Metres, Plane, Source
-from uwaug.files import find_items
-from uwaug.files.distances import distances_of
+from uwaug.files import propose
+from uwaug.files.distances import are_maps, distances_of
 
 
 @pytest.fixture(autouse=True)
@@ -42,10 +42,11 @@ def test_guesses_have_nothing_that_is_of_maps(
     [
         # nothing is said
         (None, {}, MadeUp(), None),
-        (None, {"sequence": True}, Plane((1.0, 5.0)), None),
+        (None, {"is_film": True}, Plane((1.0, 5.0)), None),
         # metres, or a word
         ("3", {}, Plane(3.0), None),
-        ("2:5.5", {"sequence": True}, Plane((2.0, 5.5)), None),
+        ("2:5.5", {"is_film": True}, Plane((2.0, 5.5)), None),
+        (None, {"has_maps": True, "is_film": True}, Metres(), None),
         ("made up", {}, Metres(), "made up"),
         # files, whatever they are called
         ("maps", {}, Metres(), "maps"),
@@ -67,20 +68,25 @@ def test_guesses_have_nothing_that_is_of_maps(
 def test_what_is_said_is_done(
     distance: str | None, said: dict[str, Any], source: Source, maps: str | None
 ) -> None:
-    chosen = distances_of(distance, **said)
-    options = {} if chosen.source is None else {"distance": chosen.source}
-    assert RandomUnderwater.from_dict(options).distance == source
-    assert chosen.maps == maps
-    assert bool(chosen.note) == (distance is None and not said.keys() - {"sequence"})
+    chosen, note = distances_of(distance, **said)
+    assert RandomUnderwater.from_dict({"distance": chosen}).distance == source
+    assert are_maps(distance) == (maps is not None)
+    assert bool(note) == (distance is None and not said.keys() - {"is_film"})
+
+
+@pytest.mark.parametrize("distance", ["3", "1:4", "depth-anything"])
+def test_a_table_with_maps_takes_no_metres(distance: str) -> None:
+    with pytest.raises(ValueError, match=f"distance is {distance}, but the table names maps"):
+        distances_of(distance, has_maps=True)
 
 
 def test_made_up_where_no_file_is_called_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path / "photos")
-    chosen = distances_of("made-up", {"far": 9.0})
-    assert RandomUnderwater.from_dict({"distance": chosen.source}).distance == MadeUp(far=9.0)
-    assert (chosen.maps, chosen.note) == (None, "")
+    chosen, note = distances_of("made-up", {"far": 9.0})
+    assert RandomUnderwater.from_dict({"distance": chosen}).distance == MadeUp(far=9.0)
+    assert (are_maps("made-up"), note) == (False, "")
 
 
 def test_a_folder_with_a_number_for_a_name(run: Any) -> None:
@@ -88,6 +94,6 @@ def test_a_folder_with_a_number_for_a_name(run: Any) -> None:
     code, out, err = run("degrade", "photos", *flags)
     assert (code, err) == (0, "")
     assert out.endswith("1 of 1 pictures written to wet\n")
-    (item,) = find_items("photos", "01")
-    assert item.distance is not None
-    assert str(item.distance) in Path("wet/a.png.json").read_text()
+    (row,) = propose("photos", "01")
+    assert row.distance is not None
+    assert str(row.distance) in Path("wet/a.png.json").read_text()

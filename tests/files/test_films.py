@@ -9,101 +9,64 @@ import torch
 from filing import metres, pixels, save
 
 from uwaug import RandomDevelopment, RandomUnderwater, Sensor
-from uwaug.files import Recipe, degrade, find_items, read_picture, read_record
-from uwaug.files.films import frames_of, rigs_of, unjoined
-from uwaug.files.items import Item
-
-NS = "14036365797635{}.png"
+from uwaug.files import Recipe, Row, degrade, read_picture, read_record
+from uwaug.files.films import frames_of
 
 
-def films(names: str, rig: str = "auto") -> list[dict[str, float]]:
-    """The moment of each frame of each film."""
-    films: dict[Any, dict[str, float]] = {}
-    for item, frame in frames_of([Item(n, Path(n)) for n in names.split()], rig).items():
-        films.setdefault(frame.candidates, {})[item.name] = frame.moment
-    return list(films.values())
+def rows_of(*cells: tuple[str, str, float | None]) -> list[Row]:
+    """Rows of name, film and time."""
+    return [Row(name, Path(name), film=film, time=time) for name, film, time in cells]
 
 
 @pytest.mark.parametrize(
-    "first, second",
+    "times, moments",
     [
-        ("image_2/{}.png", "image_3/{}.png"),
-        ("drive_1/image_02/data/{}.png", "drive_1/image_03/data/{}.png"),
-        ("mav0/cam0/data/140363657976{}5584.png", "mav0/cam1/data/140363657976{}5584.png"),
-        ("left/{}.png", "right/{}.jpg"),
-        ("imgL/{}.png", "imgR/{}.png"),
-        ("leftImg8bit/a/x_{}.png", "rightImg8bit/a/x_{}.png"),
-        ("image_left/{}_left.png", "image_right/{}_right.png"),
-        ("CAM_FRONT/{}.png", "CAM_FRONT_LEFT/{}.png"),
-        ("Camera_0/rgb_{}.png", "Camera_1/rgb_{}.png"),
-        ("cameraA/{}.png", "cameraB/{}.png"),
-        ("left/1.{}0000.png", "right/1.{}0003.png"),  # frames of nearly the same times
-        ("seas/left_{}.png", "seas/right_{}.png"),
-        ("seas/cam0_{}.png", "seas/cam1_{}.png"),
+        ((None, None, None), (0, 1, 2)),  # the order of the rows
+        ((7, 9, 8), (0, 2, 1)),
+        ((11, 12, 13, 51), (0, 1, 2, 40)),  # frames that are not there took their time
+        ((0.1, 0.2, 0.3, 4.1), (0, 1, 2, 40)),
+        ((1.4e18, 1.4e18 + 5e7, 1.4e18 + 1.5e8, 1.4e18 + 2e8), (0, 1, 3, 4)),
+        ((3, 3, 4, 4, 5, 5), (0, 0, 1, 1, 2, 2)),  # two cameras
+        ((3,), (0,)),
     ],
 )
-def test_cameras_of_a_rig_share_a_film(first: str, second: str) -> None:
-    names = [name.format(number) for name in (first, second) for number in range(100, 103)]
-    assert films(" ".join(names)) == [dict(zip(names, (0, 1, 2, 0, 1, 2), strict=True))]
-    # a frame that one of them lacks
-    del names[4]
-    assert [*films(" ".join(names))[0].values()] == [0, 1, 2, 0, 2]
-    folders = len({str(Path(name).parent) for name in names})
-    assert len(films(" ".join(names), "none")) == folders
+def test_moments_are_in_frames(times: tuple[Any, ...], moments: tuple[float, ...]) -> None:
+    rows = rows_of(*((f"{n}.png", "f", time) for n, time in enumerate(times)))
+    frames = frames_of([*rows, *rows_of(("alone.png", "", 4.0), ("g.png", "g", None))])
+    assert [frames[row.name].moment for row in rows] == list(moments)
+    order = sorted(range(len(rows)), key=lambda n: moments[n])
+    assert [frames[rows[n].name].number for n in order] == list(range(len(rows)))
+    assert "alone.png" not in frames
+    assert [row.name for row in frames["g.png"].candidates] == ["g.png"]
 
 
-def test_a_frame_that_the_first_camera_lacks() -> None:
-    (moments,) = films("left/0.png left/2.png right/0.png right/1.png right/2.png")
-    assert [*moments.values()] == [0, 2, 0, 1, 2]
+def test_a_film_is_settled_on_the_middle_of_the_first_camera() -> None:
+    rows = rows_of(*((f"{c}{n}.png", "f", n) for c in "ab" for n in range(20)))
+    candidates = frames_of(rows)["b3.png"].candidates
+    assert candidates[0].name == "a10.png"
+    assert len(candidates) == 9
+    assert {row.name[0] for row in candidates} == {"a"}
 
 
-@pytest.mark.parametrize(
-    "names",
-    [
-        "bear/0.jpg swan/0.jpg",
-        "IMG_0001/0.jpg IMG_0002/0.jpg",
-        "clip_1/0.jpg clip_2/0.jpg",
-        "a/left/0.jpg b/right/0.jpg",
-        "left/0.png left/1.png right/7.png right/8.png",
-        "left/1.100.png left/1.200.png right/1.300.png",
-        "leftover/0.png right/0.png",
-    ],
-)
-def test_films_that_have_nothing_in_common(names: str) -> None:
-    assert len(films(names)) == 2
-
-
-def test_what_is_said_of_films() -> None:
-    def said(names: str, rig: str = "auto") -> str:
-        return rigs_of(frames_of([Item(name, Path(name)) for name in names.split()], rig))
-
-    assert said("a/0.png a/1.png") == said("0.png") == ""
-    assert said("a/0.png b/0.png").startswith("2 films, each in its own water: ")
-    got = "image_2 and image_3 are taken for one rig: one water, metered on image_2"
-    assert got in said("image_3/0.png image_2/0.png")
-    assert "metered on s/b" in said("s/b/0.png s/c/9.png", "b,c")
-    left_and_right = [Item(name, Path(name)) for name in ("s/left/0.png", "s/right/0.png")]
-    assert unjoined(left_and_right).startswith("s/left and s/right look like cameras of a rig: ")
-    assert unjoined(left_and_right[:1]) == ""
-    with pytest.raises(ValueError, match=r"rig \(--rig\): no folder of pictures is called d"):
-        said("b/0.png c/0.png", "b,d")
-    with pytest.raises(ValueError, match=r"rig \(--rig\) is of films"):
-        Recipe(RandomUnderwater(), rig="none")
+def test_a_film_with_some_times_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"time: of film f 1\.png has none"):
+        frames_of(rows_of(("0.png", "f", 1.0), ("1.png", "f", None)))
 
 
 def test_a_rig_is_metered_on_one_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    rows = []
     for camera in range(2):
         for number in range(3):
-            save(f"rig/cam{camera}/{number}.png", pixels(seed=number) // (camera + 1))
-            save(f"maps/cam{camera}/{number}.npy", metres() + camera)
+            name = f"cam{camera}/{number}.png"
+            picture = save(f"rig/{name}", pixels(seed=number) // (camera + 1))
+            z = save(f"maps/cam{camera}/{number}.npy", metres() + camera)
+            rows.append(Row(name, picture, z, film="rig", time=number))
     save("rig/cam0/1.png", pixels() // 100)  # is too dark to be metered
-    recipe = Recipe(
-        RandomUnderwater(development=RandomDevelopment(noise=Sensor(2000))), sequence=True
-    )
-    items = find_items("rig", "maps")
-    assert degrade(recipe, items, "wet").failures == []
-    degrade(recipe, items[::-1], "again", workers=2)
+    noise = RandomDevelopment(noise=Sensor(2000))
+    recipe = Recipe(RandomUnderwater(development=noise))
+    assert degrade(recipe, rows, "wet").failures == []
+    degrade(recipe, [*rows[2::-1], *rows[3:]], "again", workers=2)
     samples, noises = {}, set()
     for path in sorted(Path("wet").rglob("*.png.json")):
         assert path.read_bytes() == Path("again", path.relative_to("wet")).read_bytes()
@@ -118,23 +81,3 @@ def test_a_rig_is_metered_on_one_camera(tmp_path: Path, monkeypatch: pytest.Monk
     clip = recipe.transform.for_clip(draw, read_picture("rig/cam0/2.png"), z)
     measured = json.loads(json.dumps(clip["samples"][0]["measured"]))
     assert all(sample["measured"] == measured for sample in samples.values())
-
-
-@pytest.mark.parametrize(
-    "names, moments",
-    [
-        ("{}0.png", [0, 1, 2, 40]),  # every tenth frame
-        ("dive_2_{}.png", [0, 1, 2, 40]),
-        ("l/{}.png", [0, 1, 2, 40]),
-        ("17000000{}.000.png", [0, 1, 2, 40]),  # seconds
-        ("17000000{0}.{0}.png", [0, 1, 2, 40]),
-        ("{0}-of-{0}.png", [0, 1, 2, 3]),  # two numbers
-    ],
-)
-def test_frames_that_are_not_there_took_their_time(names: str, moments: list[int]) -> None:
-    there = [names.format(number) for number in (11, 12, 13, 51)]
-    assert films(" ".join(there)) == [dict(zip(there, moments, strict=True))]
-
-
-def test_frames_without_numbers_follow_in_order() -> None:
-    assert films("a.png b.png d.png") == [{"a.png": 0, "b.png": 1, "d.png": 2}]

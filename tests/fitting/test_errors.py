@@ -6,11 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from fitted import HAZE, STONES, errors, medium, objective, seen, veil_water, veiled
+from fitted import HAZE, errors, medium, objective, seen
 
 import uwaug
 from uwaug._support.threads import one_thread
-from uwaug.fitting import fit_veil
 from uwaug.fitting.choose import FittedModel, cross_validated, one_standard_error_rule
 from uwaug.fitting.data import _through_jpeg
 from uwaug.fitting.errors import covariance_of, parameter, parameters
@@ -59,14 +58,6 @@ def test_one_rule_says_what_is_identified(value, error, state):
         assert (number.low, number.high) == pytest.approx(wanted)
         assert bound.state == "at bound"
     assert parameter(RATE, value, error, shows=False).state == "not identified"
-
-
-def test_no_door_reports_what_another_would_not():
-    """A veil that has hardly begun to bend: `fit_veil` reported errors of up to half of it."""
-    fit = fit_veil(veiled(veil_water(G=(0.05, 0.1, 0.14))), STONES, darkest=0.0)
-    reported = [number for number in fit.parameters.values() if number.value is not None]
-    assert len(reported) > 2
-    assert max(number.error / number.value for number in reported) < 0.2526
 
 
 # ---- covariance

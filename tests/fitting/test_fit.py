@@ -4,7 +4,6 @@ import torch
 from fitted import COLOURS, HAZE, TRUTH, Known, as_bytes, errors, medium, scene, seen
 
 import uwaug
-from uwaug.fitting.api import checked_options
 from uwaug.formation.colour import srgb_to_linear
 
 NOISE = "What is left is not noise"
@@ -152,23 +151,17 @@ def test_what_is_black_is_not_identified(hazy):
     assert red.value == pytest.approx(TRUTH["beta"][0], abs=4 * red.error)
 
 
-def test_a_grey_wall_shows_no_scattering(hazy):
-    wall = torch.full_like(hazy.clean, 128)
-    light = srgb_to_linear(wall.double() / 255)
-    observed = as_bytes(uwaug.form_image(light, hazy.distance.double(), medium()).image, 0.005)
-    fit = uwaug.fit(wall, observed, hazy.distance, model="gaussian", gain="fixed", pixels=2000)
+@pytest.mark.parametrize("wall", [True, False])
+def test_what_shows_no_blur_tells_no_scattering(hazy, wall):
+    """Of a grey wall; and of a blur within a pixel, where β is 40 % too small at .18 px."""
+    clean = torch.full_like(hazy.clean, 128) if wall else hazy.clean
+    water = medium() if wall else medium(law=uwaug.PointSpread(0.1, 0.9))
+    light = srgb_to_linear(clean.double() / 255)
+    observed = as_bytes(uwaug.form_image(light, hazy.distance.double(), water).image, 0.005)
+    fit = uwaug.fit(clean, observed, hazy.distance, model="gaussian", gain="fixed", pixels=2000)
     assert values(fit, "beta") == [None] * 3
     assert values(fit, "G") == pytest.approx(TRUTH["G"], rel=0.2)
-
-
-def test_a_blur_within_a_pixel_tells_no_scattering(known):
-    """β is 40 % too small at .18 px in a picture of the default tolerance."""
-    clean, _, z = known
-    observed = uwaug.Underwater(medium(law=uwaug.PointSpread(0.1, 0.9)))(clean, z)
-    fit = uwaug.fit(clean, observed, z, model="gaussian", pixels=1000)
-    assert values(fit, "beta") == [None] * 3
-    assert values(fit, "G") == pytest.approx(TRUTH["G"], rel=0.05)
-    assert remark(fit, "A blur below 0.8 px is hardly told from none")
+    assert wall or remark(fit, "A blur below 0.8 px is hardly told from none")
 
 
 # ---- what may be wrong
@@ -194,9 +187,7 @@ WRONG = {
 @pytest.mark.parametrize("wrong", WRONG)
 def test_what_is_no_noise_is_said(known, wrong):
     fit = uwaug.fit(*WRONG[wrong](known), model="gaussian", pixels=4000)
-    (said,) = remark(fit, NOISE)
-    assert "numbers may be off by more" in said
-    assert len(fit.remainder) == 10
+    assert remark(fit, NOISE)
     assert not remark(fit, COMPOSED)
 
 
@@ -220,7 +211,6 @@ def test_a_haze_of_encoded_values_is_told(model, noise):
     fit = uwaug.fit(*pictures, model=model, pixels=1000)
     (said,) = remark(fit, COMPOSED)
     assert float(said.partition("fits ")[2].split()[0]) > (3 if noise == 0 else 1.2)
-    assert "(--color-space linear)" in said
     # the cure gives the rates, says nothing more, and makes the picture
     cured = uwaug.fit(*pictures, model=model, pixels=1000, color_space="linear")
     assert cured.model == "haze"
@@ -243,27 +233,12 @@ def test_published_systems_that_compose_in_encoded_values(system, is_of_values):
     assert bool(remark(fit, COMPOSED)) == is_of_values
 
 
-def test_a_haze_of_encoded_values_keeps_what_is_known():
-    known = {"beta_red": SET["beta"][0], "veil_blue": SET["veil"][2]}
-    assert remark(uwaug.fit(*hazed(), model="haze", fixed=known, pixels=500), COMPOSED)
-    wrong = {"beta_red": 0.9, "beta_green": 0.9, "beta_blue": 0.9}
-    assert not remark(uwaug.fit(*hazed(), model="haze", fixed=wrong, pixels=500), COMPOSED)
-
-
-def test_units_are_doubted(hazy):
-    near = hazy._replace(distance=hazy.distance / 1000)
-    assert remark(uwaug.fit(*near, model="haze", pixels=500), "are the distances in metres?")
-
-
-def test_fits_bear_outliers(hazy):
+def test_fits_bear_outliers_and_noise(hazy):
     spoilt = hazy.observed.clone()
     spoilt[:, ::7, ::5] = 250  # 3 % of the pixels
     fit = uwaug.fit(*hazy._replace(observed=spoilt), model="haze", pixels=2000)
     for kind in ("beta", "veil"):
         assert values(fit, kind) == pytest.approx(TRUTH[kind], rel=0.03)
-
-
-def test_noise_above_all_leaves_pixels():
     loud = seen(medium(**HAZE), noise=0.15)
     fit = uwaug.fit(*loud, model="haze", gain="fixed", pixels=2000)
     assert fit.rms > 0.1
@@ -293,24 +268,6 @@ def test_a_fit_repeats_itself_anywhere(hazy: Known, haze):
     assert other.parameters != haze.parameters
     trained = uwaug.Underwater(again.medium, learnable=True)
     trained(torch.rand(3, 20, 30), torch.rand(1, 20, 30) + 1).sum().backward()
-
-
-def test_progress(hazy, capsys, monkeypatch):
-    said = []
-    uwaug.fit(*hazy, model="haze", pixels=500, progress=said.append)
-    assert said[0] == "blurring the clean picture"
-    assert said[2:] == [
-        "fitting 'haze + gain', 1 of 1",
-        "fitting without a gain",
-        "trying encoded values",
-    ]
-    now = iter([0.0, 0.5, 2.0, 0.0, 2.0])
-    monkeypatch.setattr("uwaug.fitting.api.time.monotonic", lambda: next(now))
-    say = checked_options(1000, 0, True)
-    say("soon")
-    say("late")
-    checked_options(1000, 0, False)("never")
-    assert capsys.readouterr() == ("", "uwaug: late\n")
 
 
 def test_a_chart_of_few_colours_at_four_distances() -> None:

@@ -4,6 +4,7 @@ import copy
 import io
 import math
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from torch import Tensor
 
 import uwaug
 from uwaug import Medium, PointSpread, Underwater, form_image
+from uwaug.formation import Setting
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 from uwaug.formation.demand import EVERY_SIDE
 
@@ -48,13 +50,10 @@ def test_srgb_is_clipped_to_what_files_hold() -> None:
     assert out.max() == 1
     torch.testing.assert_close(out, linear_to_srgb(light).clamp(0, 1), rtol=0, atol=2e-3)
     assert Underwater(bright, (0.1, 80.0), color_space="linear")(image, z).max() > 1.1
-
-
-def test_pictures_above_1_keep_their_headroom() -> None:
-    images = torch.cat([picture(), 3 * picture()])
-    images[1, :, :16] = 3.0
-    z = torch.full((1, 1, 32, 40), 1e-3)
-    out = Underwater(Medium.from_water("III", vertical_depth=0.0), (0.0, 20.0))(images, z)
+    # a picture above 1 keeps its headroom, and the other of the batch does not get it
+    near = torch.full((1, 1, 32, 40), 1e-3)
+    surface = Medium.from_water("III", vertical_depth=0.0)
+    out = Underwater(surface, (0.0, 20.0))(torch.cat([image, torch.full_like(image, 3.0)]), near)
     assert out[0].max() <= 1
     assert out[1].max() == pytest.approx(3.0, abs=0.02)
 
@@ -145,7 +144,7 @@ def test_states_and_copies(medium: Medium, learnable: bool) -> None:
     medium = medium.as_coefficients() if learnable else medium
     first, second = (Underwater(medium, learnable=learnable) for _ in range(2))
     with torch.no_grad():
-        for tensor in first.state_dict().values():
+        for tensor in (*first.buffers(), *first.parameters()):
             tensor.mul_(1.1)
     first.load_state_dict(first.state_dict())  # the blur is planned for it
     image, z = picture(), distances()
@@ -160,30 +159,59 @@ def test_states_and_copies(medium: Medium, learnable: bool) -> None:
     assert {t.device.type for t in second.to("meta").medium.tensors()} == {"meta"}
 
 
-@pytest.mark.parametrize("learnable", [False, True, ["rates"], ["veil"], ["width"]])
-def test_a_state_is_all_of_the_medium(learnable: Any) -> None:
-    law = PointSpread(0.03 * 60.0, 0.62, "exponential")
-    waters = [Medium.from_water(water, point_spread=law) for water in ("I", "7C")]
-    first, second = (Underwater(w.as_coefficients(), learnable=learnable) for w in waters)
-    image, z = picture(), distances()
-    assert (first(image, z) - second(image, z)).abs().max() > 0.1
-    first.load_state_dict(second.state_dict())
-    torch.testing.assert_close(first(image, z), second(image, z), rtol=0, atol=1e-6)
-
-
-LAWS = {
-    "shape": PointSpread(1.2, 0.8, "exponential"),
-    "size": PointSpread(1.2, 0.8, unit="paper"),
+WATER = Medium.from_water("7C", vertical_depth=2.0)
+SETTINGS = {
+    "water": Setting(WATER),
+    "shape of widths": Setting(coastal(point_spread=PointSpread(1.2, 0.8, "exponential"))),
+    "unit of widths": Setting(coastal(point_spread=PointSpread(1.2, 0.8, unit="paper"))),
+    "snow": Setting(WATER.with_snow(uwaug.MarineSnow(50_000, seed=2))),
+    "light": Setting(WATER, uwaug.Light([uwaug.Lamp(power=2.0)], daylight=0.3, pitch=20.0)),
+    "development": Setting(WATER, development=uwaug.Development("auto", tone=1.3)),
+    "view": Setting(WATER, uwaug.Light(pitch=20.0), view=uwaug.View(20.0)),
+    "color space": Setting(WATER, color_space="linear"),
 }
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("learnable", [False, True])
-def test_a_state_of_another_width_law_is_refused(law: str, learnable: bool) -> None:
-    own, other = coefficients(law=PointSpread(1.2, 0.8)), coefficients(law=LAWS[law])
-    module, state = Underwater(own, learnable=learnable), Underwater(other, learnable=learnable)
-    with pytest.raises(ValueError, match=r"state_dict is of Law\(.*'s medium of Law\(.*'px'\)"):
-        module.load_state_dict(state.state_dict())
+LEARNED = [("water", parts) for parts in (True, ["rates"], ["veil"], ["width"])]
+
+
+@pytest.mark.parametrize(
+    ("name", "learnable"), [(name, False) for name in SETTINGS] + [*LEARNED, ("snow", True)]
+)
+def test_a_state_brings_the_whole_setting(name: str, learnable: Any) -> None:
+    """Picture, and the name that a person reads; averaged with its like, as by an EMA, too."""
+    setting = SETTINGS[name]
+    if learnable:
+        setting = replace(setting, medium=setting.medium.as_coefficients())
+    options = {"distance_range": None, "learnable": learnable}
+    own = Underwater(coefficients() if learnable else Medium.from_water("II"), **options)
+    other = Underwater(
+        setting.medium,
+        **options,
+        light=setting.light,
+        development=setting.development,
+        view=setting.view,
+        color_space=setting.color_space,
+    )
+    image, z = picture(), distances()
+    expected = other(image, z).detach()
+    assert (own(image, z) - expected).abs().max() > 0.01
+    state = {key: 0.3 * x + 0.7 * x for key, x in other.state_dict().items()}
+    own.load_state_dict(state)
+    torch.testing.assert_close(own(image, z).detach(), expected, rtol=0, atol=2e-6)
+    assert repr(own) == repr(other)
+    assert own.medium.notes == other.medium.notes == setting.medium.notes
+    with pytest.raises(RuntimeError, match=r"Missing key.*_extra_state"):
+        own.load_state_dict({key: x for key, x in state.items() if "_extra_state" not in key})
+
+
+def test_a_pitch_that_learns_takes_the_value_of_a_state() -> None:
+    pitch = torch.tensor([5.0], requires_grad=True)
+    own = Underwater(WATER, light=uwaug.Light(pitch=pitch))
+    own.load_state_dict(Underwater(WATER, light=uwaug.Light(pitch=[30.0])).state_dict())
+    assert pitch.tolist() == [30.0]
+    own(picture(), distances()).sum().backward()
+    assert pitch.grad.abs() > 0
 
 
 def test_what_it_says_of_itself() -> None:

@@ -1,7 +1,6 @@
 """The runner of exported files."""
 
 import copy
-import json
 import multiprocessing
 import os
 import pickle
@@ -16,13 +15,13 @@ from torch.utils.data import DataLoader
 
 from uwaug import MarineSnow, Medium, PointSpread, Underwater
 from uwaug.onnx import OnnxUnderwater, check_onnx, read_metadata
-from uwaug.onnx.run import module_of
 
 # by its version: without the package, "onnx" would be the folder of these tests
 pytest.importorskip("onnx", minversion="1.17")
 pytest.importorskip("onnxruntime")
 
 MEDIUM = Medium.from_water("7C")
+NETWORK = {"uwaug_module": '{"setting": {"kind": "Network", "model": "stranger/a:b.onnx"}}'}
 
 
 def test_it_has_the_shapes_of_the_module(frozen) -> None:
@@ -64,7 +63,7 @@ def test_what_does_not_suit_a_file_is_refused(frozen, waters) -> None:
     for call, message in (
         (lambda: run(image, distance, MEDIUM), "the file takes none: export with coefficients"),
         (lambda: serve(image, distance), "medium: the file needs one"),
-        (lambda: serve(image, distance, absolute), r"its law of widths must be Law\(.*, got Law"),
+        (lambda: serve(image, distance, absolute), r"its law must be Law\(.*, got Law"),
         (lambda: serve(image, distance, MEDIUM.with_snow(MarineSnow())), "marine snow, which no"),
         (lambda: serve(image, distance, wide), "its widths lie beyond the plan of the file"),
         (lambda: serve(image, distance, spectral), "medium must be of grey surfaces"),
@@ -90,18 +89,12 @@ def test_a_file_of_spectra_takes_media_of_grey_surfaces(tmp_path, monkeypatch) -
         assert given[name].shape[:3] == (1, 3, 3)
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda run: pickle.loads(pickle.dumps(run))])
-def test_copies_after_use(frozen, copied) -> None:
-    image, distance = scene(1)
-    run = OnnxUnderwater(frozen[0], threads=1)
-    before = run(image, distance)
-    assert torch.equal(copied(run)(image, distance), before)
-
-
-def test_in_a_worker(frozen) -> None:
+def test_copies_after_use_and_in_a_worker(frozen) -> None:
     run, (image, distance) = OnnxUnderwater(frozen[0], threads=1), scene(4)
-    loader = DataLoader(Pictures(run), 2, num_workers=1, multiprocessing_context="spawn")
     here = torch.stack([run(image[i], distance[i]) for i in range(4)])
+    for copied in (copy.deepcopy(run), pickle.loads(pickle.dumps(run))):
+        assert torch.equal(copied(image[0], distance[0]), here[0])
+    loader = DataLoader(Pictures(run), 2, num_workers=1, multiprocessing_context="spawn")
     torch.testing.assert_close(torch.cat(list(loader)), here, rtol=0, atol=1e-6)
 
 
@@ -125,7 +118,8 @@ def test_a_forked_process_opens_its_own(frozen) -> None:
         ({"uwaug_module": None}, "has no metadata of"),
         ({"uwaug_module": "[" * 100_000}, "its metadata are damaged"),
         ({"uwaug_module": "{}"}, "its metadata are damaged"),
-        ({"uwaug_module": '{"medium": 1, "sides": [9, 3]}'}, "its metadata are damaged"),
+        ({"uwaug_module": '{"setting": 1, "sides": [9, 3]}'}, "its metadata are damaged"),
+        (NETWORK, r"its metadata are damaged .*kind must be Setting, got 'Network'"),
     ],
 )
 def test_other_metadata_are_refused(tmp_path, metadata, message) -> None:
@@ -145,9 +139,3 @@ def test_what_is_no_model_is_refused(tmp_path) -> None:
             call(tmp_path / "no.onnx")
         with pytest.raises(FileNotFoundError):
             call(tmp_path / "missing.onnx")
-
-
-def test_metadata_of_a_stranger_make_no_network() -> None:
-    stored = {"medium": {"kind": "Network", "model": "stranger/repository:beacon.onnx"}}
-    with pytest.raises(ValueError, match=r"kind must be .*Medium.*, got 'Network'"):
-        module_of("x.onnx", {"uwaug_module": json.dumps(stored)})

@@ -107,6 +107,7 @@ def test_degrees_and_px_are_one() -> None:
     [
         ({"degrees": 180.0}, r"view: degrees must be in \[1, 170\], got 180"),
         ({"focal_px": 0.0}, "view: focal_px must be finite and > 0"),
+        ({"degrees": 60, "focal_px": 410.0}, "say the same, got degrees = 60 and focal_px = 410"),
         ({"center": 3.0}, "view: center must be"),
         ({"center": (math.nan, 3.0)}, "view: center must be finite"),
     ],
@@ -114,6 +115,20 @@ def test_degrees_and_px_are_one() -> None:
 def test_what_is_no_view_is_refused(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         View(**arguments)
+
+
+def test_planar_depth_needs_a_view_that_is_named() -> None:
+    image, depth = rand(3, *SIZE).float(), torch.full((1, *SIZE), 3.0)
+    for view in (60.0, View(80.0), View(focal_px=90.0)):
+        aug = RandomUnderwater("II", distance=Metres(planar=True), view=view)
+        again = RandomUnderwater.from_dict(aug.to_dict())  # 60° that are named stay so
+        record = aug.make_params(image)
+        metres = again.scenes(image, depth, record).metres
+        focal = View.of(view).focal(SIZE[1])
+        far = 3 * math.hypot(1, (SIZE[1] - 1) / 2 / focal, (SIZE[0] - 1) / 2 / focal)
+        assert float(metres[..., 0, 0]) == pytest.approx(far, rel=1e-5)
+    with pytest.raises(ValueError, match="planar maps need the camera's view: give view="):
+        RandomUnderwater("II", distance=Metres(planar=True))(image, depth)
 
 
 def test_a_focal_length_in_millimetres_is_refused() -> None:

@@ -134,18 +134,18 @@ def test_the_name_of_a_file_does_not_leave_its_script(small: Any, tmp_path: Path
 def test_pictures_are_those_of_what_is_copied(shown: Shown, settings: dict[str, Any]) -> None:
     shown.set(**settings)
     command(shown.code().removeprefix("uwaug ") + " --force")
-    off = np.abs(shown.picture() - pixels("wet.png"))
+    off = np.abs(shown.picture() - pixels("wet/photo.png"))
     # `degrade` plans its blur to .002, the page to .0005
     assert (off > 2).mean() < 1e-3
     assert off.max() <= 5
     assert np.sqrt(((off / 255) ** 2).mean()) < 0.002
-    told = pixels("wet.png")
+    told = pixels("wet/photo.png")
     exec(shown.code("Python"), {})
     assert np.array_equal(pixels("wet.png"), told)
     Path("this.toml").write_text(shown.code("TOML"))
     line = shown.code("TOML").splitlines()[0].removeprefix("# uwaug ")
     command(f"{line} --force")
-    assert np.array_equal(pixels("wet.png"), told)
+    assert np.array_equal(pixels("wet/photo.png"), told)
 
 
 def test_controls(shown: Shown) -> None:
@@ -239,7 +239,7 @@ def test_own_files(shown: Shown) -> None:
         file.save_as(file.suggested_filename)
     assert "photo-scene.png --distance photo-scene.npy" in shown.code()
     command(shown.code().removeprefix("uwaug ") + " --force")
-    assert (np.abs(shown.picture() - pixels("wet.png")) > 2).mean() < 1e-3
+    assert (np.abs(shown.picture() - pixels("wet/photo-scene.png")) > 2).mean() < 1e-3
     assert shown.take("depth.png") == ""  # the map of the picture before
     assert np.abs(shown.picture() - first).max() <= 1  # the page's own copy of the same
     metres = pixels("depth.png").astype(np.float32) / 1000

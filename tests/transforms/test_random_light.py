@@ -11,9 +11,9 @@ from augmenting import H, W, distances, picture
 from torch import Tensor
 
 from uwaug import Lamp, Light, Medium, RandomLight, RandomUnderwater
+from uwaug._support.nouns import Uniform
 from uwaug.optics.view import WIDE
 from uwaug.transforms import Measured
-from uwaug.transforms.draws import uniform_of
 from uwaug.transforms.random_light import RIGS
 
 NIGHT = RandomLight(share=1.0)
@@ -22,7 +22,7 @@ CLEAR = Medium.from_coefficients((1e-9,) * 3, (1e-9,) * 3, (0.0,) * 3)
 
 def lights(random: RandomLight, count: int, metres: float = 3.0) -> list[Any]:
     seen = Measured(W, 0.0, 1.0, metres / 2, 2 * metres, metres)
-    return [random.of(random.drawn(uniform_of(seed)), seen) for seed in range(count)]
+    return [random.of(random.drawn(Uniform(seed.to_bytes(8))), seen) for seed in range(count)]
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])

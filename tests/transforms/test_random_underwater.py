@@ -4,7 +4,6 @@ import copy
 import json
 import math
 import pickle
-import tomllib
 from dataclasses import replace
 from functools import reduce
 from typing import Any
@@ -31,6 +30,7 @@ from torch import Tensor
 
 import uwaug
 from uwaug import (
+    Development,
     Lamp,
     Light,
     MarineSnow,
@@ -54,50 +54,28 @@ from uwaug.transforms.random_underwater import SEVERITIES
 from uwaug.transforms.random_water import VISIBLE, WATERS
 
 
-def mapped(rest: list[Tensor], i: int | None = None) -> Tensor | None:
-    """The maps of a batch, or the i-th, where there are any."""
-    if not rest:
-        return None
-    return rest[0] if i is None else rest[0][i]
-
-
 @pytest.mark.parametrize("name", OPTIONS)
 def test_a_record_makes_the_picture_again(name: str) -> None:
+    """By the transform and by its twins: in another process, copied, of plain data."""
     aug = RandomUnderwater(**OPTIONS[name])
-    image, *rest = leaves(aug, 3)
-    torch.manual_seed(5)
-    record = aug.make_params(image)
-    made = aug.transform(image, mapped(rest), record)
-    assert made.isfinite().all()
-    torch.manual_seed(5)
-    drawn = aug(image, *rest)
-    assert same(made, drawn[0] if rest else drawn)
-    read = json.loads(json.dumps(record, allow_nan=False))
-    assert read == record
-    for twin in (pickle.loads(pickle.dumps(aug)), copy.deepcopy(aug)):
-        assert same(made, twin.transform(image, mapped(rest), read))
-
-
-def toml(value: Any) -> str:
-    """A value of JSON, but null, which TOML lacks."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{name} = {toml(inner)}" for name, inner in value.items()) + "}"
-    return "[" + ", ".join(map(toml, value)) + "]" if isinstance(value, list) else json.dumps(value)
-
-
-@pytest.mark.parametrize("name", OPTIONS)
-def test_options_as_plain_data(name: str) -> None:
-    aug = RandomUnderwater(**OPTIONS[name])
+    twins = [aug, pickle.loads(pickle.dumps(aug)), copy.deepcopy(aug)]
     if name == "network":
         with pytest.raises(TypeError, match="cannot be written as numbers and words"):
             aug.to_dict()
-        return
-    plain = aug.to_dict()
-    twin = RandomUnderwater.from_dict(json.loads(json.dumps(plain)))
-    assert twin.to_dict() == plain
-    twin = RandomUnderwater.from_dict(tomllib.loads(f"x={toml(plain)}")["x"])
-    assert twin.to_dict() == plain
-    assert same(result(twin), result(aug))
+    else:
+        twins.append(RandomUnderwater.from_dict(json.loads(json.dumps(aug.to_dict()))))
+        assert twins[-1].to_dict() == aug.to_dict()
+    image, *rest = leaves(aug, 3)
+    torch.manual_seed(5)
+    record = aug.make_params(image)
+    torch.manual_seed(5)
+    drawn = aug(image, *rest)
+    made = drawn[0] if rest else drawn
+    assert made.isfinite().all()
+    read = json.loads(json.dumps(record, allow_nan=False))
+    assert read == record
+    for twin in twins:
+        assert same(made, twin.transform(image, rest[0] if rest else None, read))
 
 
 SAID: list[Any] = [
@@ -133,13 +111,10 @@ def test_tables_as_a_person_writes_them() -> None:
     assert aug.distance == Relative(far=(4, 8))
     assert (aug.water.contrast, aug.water.point_spread) == (None, PointSpread(3.0))
     assert aug.make_params(picture())["samples"][0]["distance"]["gamma"] == 1.0
-
-
-def test_repr_shows_what_differs_from_the_default() -> None:
-    assert repr(RandomUnderwater()) == "RandomUnderwater()"
-    aug = RandomUnderwater(RandomWater("3C", contrast=0.3), distance=(1.0, 2.0))
     water = "RandomWater(waters='3C', contrast=0.3)"
+    aug = RandomUnderwater(RandomWater("3C", contrast=0.3), distance=(1.0, 2.0))
     assert repr(aug) == f"RandomUnderwater(water={water}, distance=Plane(distance=(1.0, 2.0)))"
+    assert repr(RandomUnderwater()) == "RandomUnderwater()"
 
 
 def test_draws_fill_their_ranges() -> None:
@@ -204,13 +179,6 @@ def test_no_veil_that_is_drawn_is_brighter_than_a_white_plate() -> None:
     torch.testing.assert_close(asked, 1.5 * highest, rtol=1e-3, atol=0)
 
 
-def test_a_medium_stays_as_it_is() -> None:
-    aug = RandomUnderwater(RandomWater(FIT, field=None), development=RAW)
-    z = 0.1 + distances()
-    expected = Underwater(FIT, (0.1, 1.1))(picture(), z)
-    assert (aug(picture(), z)[0] - expected).abs().max() < 1e-4
-
-
 def test_a_field_is_drawn_for_each_picture() -> None:
     water = RandomWater("II", field=(0.2, 3.0), vertical_depth=1.0)
     aug = RandomUnderwater(water, light=None)
@@ -263,27 +231,19 @@ def test_types(dtype: torch.dtype) -> None:
         assert (out.double() / white - exact).abs().max() <= most
 
 
-class Classifier(torch.nn.Module):
-    """A model that puts its pictures under water itself."""
-
-    def __init__(self, augment: torch.nn.Module) -> None:
-        super().__init__()
-        self.augment, self.layer = augment, torch.nn.Conv2d(3, 4, 3)
-
-    def forward(self, image: Tensor, distance: Tensor) -> Tensor:
-        degraded, _ = self.augment(2 * image - image, distance)
-        out: Tensor = self.layer(degraded)
-        return out
-
-
 def test_torch_compile_breaks_the_graph_and_draws_the_same() -> None:
     torch.compiler.reset()
     torch._dynamo.utils.counters.clear()
-    model = Classifier(RandomUnderwater())
-    compiled = torch.compile(model, backend="eager")
+    augment, layer = RandomUnderwater(), torch.nn.Conv2d(3, 4, 3)
+
+    def classified(image: Tensor, distance: Tensor) -> Tensor:
+        result: Tensor = layer(augment(2 * image - image, distance)[0])
+        return result
+
+    compiled = torch.compile(classified, backend="eager")
     for seed in range(2):
         results = []
-        for either in (model, compiled):
+        for either in (classified, compiled):
             torch.manual_seed(seed)
             results.append(either(picture(2), distances(2) + 1))
         assert same(*results)
@@ -300,16 +260,13 @@ TANK_FIT = load_preset("tank-proposed-1").water.waters
 @pytest.mark.parametrize("water", ["9C", RandomWater(contrast=0.3), FIT, COAST, None], ids=str)
 def test_distances_are_those_of_the_map_in_any_water(water: Any, light: Light | None) -> None:
     noun = water if isinstance(water, RandomWater) else RandomWater(water)
-    grades = RandomUnderwater(noun, light=light), RandomUnderwater.severity(5, noun, light=light)
-    for times in (0.5, 3.0, 40.0):
-        z = times * (1 + distances(2))
-        for aug in (grade for grade in grades):
-            record = aug.make_params(picture(2))
+    for aug in (RandomUnderwater(noun, light=light), RandomUnderwater.severity(5, noun)):
+        for times in (0.5, 3.0, 40.0):
+            z, record = times * (1 + distances(2)), aug.make_params(picture(2))
             assert torch.equal(aug.scenes(picture(2), z, record).metres, z)
             plane = replace(aug, distance=Plane(times))
             scenes = plane.scenes(picture(2), None, plane.make_params(picture(2)))
             assert scenes.metres.unique().tolist() == [pytest.approx(times)]
-            assert scenes.clarity(1).metres == scenes.scenes[1].setting.span[1]
             assert scenes.clarity(1).metres == pytest.approx(times)
 
 
@@ -330,15 +287,11 @@ def test_a_grade_is_what_is_left_at_the_median_distance(water: Any, light: Light
 
 
 def test_a_scene_that_is_made_up_is_the_same_at_every_grade() -> None:
-    grades = [RandomUnderwater.severity(level, distance=MadeUp()) for level in SEVERITIES]
-    for key in range(3):
-        made = [
-            grade.scenes(
-                picture(), None, grade.make_params(picture(), grade.generator_of(0, 0, key))
-            ).metres
-            for grade in grades
-        ]
-        assert all(torch.equal(other, made[0]) for other in made)
+    grades, made = [RandomUnderwater.severity(n, distance=MadeUp()) for n in SEVERITIES], []
+    for grade in grades:
+        record = grade.make_params(picture(), grade.generator_of(0, 0, 1))
+        made.append(grade.scenes(picture(), None, record).metres)
+    assert all(torch.equal(other, made[0]) for other in made)
 
 
 @pytest.mark.parametrize("water", ["II", TANK, COAST, RandomWater(["IA", COAST], mixing=0.5), None])
@@ -550,8 +503,6 @@ def test_default_draws_are_waters(metres: float) -> None:
 NAMED = Water([400, 700], [1, 1], [1, 1], [1, 1], name="tank")
 REFUSED_OPTIONS: dict[str, Any] = {
     "contrast must be a number or a range": lambda: RandomWater(contrast=(0.5, 0.2)),
-    r"g must be .* in \[0, 1\]; got 1.5": lambda: RandomWater(g=1.5),
-    "field must be": lambda: RandomWater(field=(-1.0, 1.0)),
     "waters: expected at least one": lambda: RandomWater([]),
     "waters must have an order": lambda: RandomWater({"II"}),
     "water must be one of": lambda: RandomUnderwater("IX"),
@@ -559,16 +510,13 @@ REFUSED_OPTIONS: dict[str, Any] = {
     "two are called 'tank'": lambda: RandomWater([TANK, NAMED]),
     "mixing needs spectra": lambda: RandomWater(["II", FIT], mixing=(0, 1)),
     "must be a uwaug.PointSpread": lambda: RandomWater(point_spread=3.0),
-    "no camera is called so": lambda: RandomWater(camera="obscura"),
     "visibility and contrast both": lambda: RandomWater(visibility=4.0, contrast=0.3),
-    "visibility must be a number or a range": lambda: RandomWater(visibility=0.0),
-    "unexpected keyword argument 'contrast'": lambda: RandomUnderwater("II", contrast=0.2),
     r"p must be in \[0, 1\]": lambda: RandomUnderwater(p=2.0),
     r"names of image and map, got \['a'\]": lambda: RandomUnderwater(keys=["a"]),
-    "names of image and map, got .'a', 1": lambda: RandomUnderwater(keys=("a", 1)),
     r"distance must be .*Network\(…\)": lambda: RandomUnderwater(distance=torch.nn.Identity()),
-    "must be a uwaug.RandomDevelopment": lambda: RandomUnderwater(development={"gamut": 1}),
     "tone must be": lambda: RandomDevelopment(tone=9.0),
+    "metered must be True or False, got 'off'": lambda: RandomDevelopment(metered="off"),
+    "metered must be True or False, got 0": lambda: Development(metered=0),
     "light must be a .*RandomLight, got float; or a": lambda: RandomUnderwater(light=3.0),
     "level must be a whole number from 1 to 5": lambda: RandomUnderwater.severity(6),
     "no 'waters'.*mean water": lambda: RandomUnderwater.from_dict({"waters": "II"}),
@@ -628,11 +576,9 @@ REFUSED_RECORDS: list[tuple[str, Any, str]] = [
     ("water.waters", ["II", "II"], "water.waters must be 1, got"),
     ("water.contrast", 2.0, r"water.contrast must be in \[0.001, 1\], got 2"),
     ("water.snow.density", 0.5, "water.snow.density must be in"),
-    *[
-        (name, seed, f"{name} must be a whole number from 0 to 4294967295")
-        for name in ("water.field_seed", "water.snow.seed", "development.noise.seed")
-        for seed in (1.5, -1, 2**32, True, "7", None)
-    ],
+    ("water.field_seed", 1.5, "water.field_seed must be a whole number from 0 to 4294967295"),
+    ("water.snow.seed", 2**32, "water.snow.seed must be a whole number"),
+    *[("development.noise.seed", s, "noise.seed must be a whole") for s in (-1, True, "7", None)],
     ("distance.near", -1.0, "distance.near must be"),
     ("light.power", "bright", "light.power must be"),
     ("light", {"power": 1.0}, "of a transform with other options: light.pitch"),
@@ -642,10 +588,8 @@ REFUSED_RECORDS: list[tuple[str, Any, str]] = [
     ("measured", 3.0, "measured must be a table"),
     ("measured", {"median": -1}, "other options: measured.exposure, measured.saturation"),
     *[("measured", {**FILM, "median": m}, "median must be above 0 m") for m in (-1, math.nan, "3")],
-    *[
-        ("measured", {**FILM, "white_balance": b}, "white_balance must be")
-        for b in (3.0, [1.0, 2.0], [1.0, 2.0, -1.0])
-    ],
+    ("measured", {**FILM, "white_balance": [1.0, 2.0]}, "white_balance must be"),
+    ("measured", {**FILM, "white_balance": [1.0, 2.0, -1.0]}, "white_balance must be"),
 ]
 
 
@@ -656,24 +600,9 @@ def test_refused_records(name: str, value: Any, message: str) -> None:
     reduce(dict.__getitem__, outer, record["samples"][0])[last] = value
     with pytest.raises((TypeError, ValueError), match=f"params.*{message}"):
         ALL_DRAWN.transform(picture(), distances(), record)
-
-
-def test_refused_records_of_another_kind() -> None:
-    aug = RandomUnderwater()
-    for record in (None, {}, {"samples": {}}, {"samples": [1]}):
-        with pytest.raises(TypeError, match="params must be a record from make_params"):
-            aug.transform(picture(), distances(), record)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="params has 2 samples but image is a batch of 1"):
-        aug.transform(picture(), distances(), aug.make_params(picture(2)))
-
-
-def test_seeds_that_are_given_are_kept() -> None:
-    aug = RandomUnderwater(
-        RandomWater(snow=MarineSnow(seed=5)),
-        development=RandomDevelopment(noise=Sensor(2000.0, seed=6)),
-    )
-    for sample in aug.make_params(picture(3))["samples"]:
-        assert (sample["water"]["snow"]["seed"], sample["development"]["noise"]["seed"]) == (5, 6)
+    for other in (None, {}, {"samples": {}}, {"samples": [1]}, ALL_DRAWN.make_params(picture(2))):
+        with pytest.raises((TypeError, ValueError), match=r"params (must be a rec|has 2 samples)"):
+            ALL_DRAWN.transform(picture(), distances(), other)  # type: ignore[arg-type]
 
 
 def test_a_network_in_place_of_maps() -> None:

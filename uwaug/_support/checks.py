@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ DOMAIN = {
 }
 """Least and largest value of quantities that several rooms read. Infinity is never allowed."""
 
+T = TypeVar("T")
 OPEN = 1e7  # m, from which on is open water: some write 1e9; no map in mm holds so many
 _FARTHEST_MEDIAN_M = 1000.0  # of a map in metres: no water lets one see farther than 100 m
 _LINES_SAMPLED = 16  # rows and columns, about, that `too_far` looks at first
@@ -76,6 +77,19 @@ def vector(
         within(name, number, low, high)
     x, y, z = map(float, value)
     return x, y, z
+
+
+def unchecked(kind: type[T], **values: Any) -> T:
+    """An object of a frozen dataclass, of values that were drawn or read within their domains."""
+    made = object.__new__(kind)
+    vars(made).update(values)
+    return made
+
+
+def truth(name: str, value: object) -> None:
+    """Refuse anything but True and False, such as the word "False", which is true."""
+    if not isinstance(value, bool):
+        raise TypeError(f"{name} must be True or False, got {value!r:.80}")
 
 
 def positive(name: str, value: float, unit: str = "") -> None:

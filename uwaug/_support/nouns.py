@@ -15,17 +15,17 @@ Drawn = Mapping[str, Any]  # numbers of a noun that a picture has drawn, by name
 SEEDS = 2**32  # seeds are whole numbers from 0 to below this one
 
 
-class Uniform:
+class Uniform(NamedTuple):
     """Random numbers of 0…1 by name, for one picture. Each follows from the picture's key (8 bytes)
     and the name alone: a range that comes or goes changes no other.
     """
 
-    def __init__(self, key: bytes, noun: str = "") -> None:
-        self.key, self.noun = key, noun
+    key: bytes
+    noun: str = ""  # stands before all names
 
     def __call__(self, name: str) -> float:
-        name = f"{self.noun}{name}"
-        digest = hashlib.blake2b(name.encode(), digest_size=8, key=self.key).digest()
+        text = f"{self.noun}{name}".encode()
+        digest = hashlib.blake2b(text, digest_size=8, key=self.key).digest()
         return (int.from_bytes(digest) >> 11) * 2.0**-53
 
     def of(self, noun: str) -> "Uniform":

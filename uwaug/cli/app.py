@@ -28,7 +28,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="To begin: uwaug demo; then uwaug degrade photo.jpg --distance 3 --out wet.jpg",
+    epilog="To begin: uwaug demo; then uwaug degrade photo.jpg --distance 3 --out wet/",
 )
 
 _COMMANDS = (

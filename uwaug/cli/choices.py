@@ -20,8 +20,6 @@ PLACES = ("reef", "harbour", "lake", "fjord")
 
 def view_table(degrees: float | None, focal_px: float | None) -> dict[str, Any]:
     """A view as a table of options, empty if none is given."""
-    if degrees is not None and focal_px is not None:
-        raise ValueError("--view and --focal-px say the same: give one of them")
     numbers = {"degrees": degrees, "focal_px": focal_px}
     return {name: number for name, number in numbers.items() if number is not None}
 

@@ -34,15 +34,17 @@ from uwaug.files.formats import formats
 
 if TYPE_CHECKING:
     from uwaug.files.summary import Summary
+    from uwaug.files.table import Row
 
 _RUN_OPTIONS = ("drift", "motion", "quality", "background")  # of --set, but not of the transform
+_ROWS_SHOWN = 8  # of a dry run
 _GROUPS = {
-    "Output": ("out", "variants", "sheet", "maps"),
+    "Output": ("out", "variants", "sheet", "maps", "dry_run"),
     "Distance": ("distance", "unit", "holes", "view", "focal_px"),
     "Water": ("water", "contrast", "severity", "like", "preset", "plain", "set_", "options"),
     "Run": ("seed", "workers", "resume", "force", "ray", "help"),
-    "Films": ("sequence", "rig"),
-    "Labels": ("labels", "min_contrast"),
+    "Films": ("sequence",),
+    "Labels": ("labels", "classes", "min_contrast"),
 }
 
 
@@ -61,13 +63,17 @@ class Grouped(TyperCommand):
 def degrade(
     context: typer.Context,
     pictures: Annotated[
-        Path, typer.Argument(help="Picture or folder; or a record, whose picture is made again.")
+        Path,
+        typer.Argument(
+            help="Folder of pictures; or a table (.csv) of pictures, maps and labels; or a record "
+            "(.json), whose picture is made again."
+        ),
     ],
-    out: Annotated[Path, typer.Option(help="File or folder to write.")],
+    out: Annotated[Path, typer.Option(help="Folder to write; of a record, the picture.")],
     distance: Annotated[
         str | None,
         typer.Option(
-            help="File, folder, or pattern such as {stem}_depth.png; or metres, as 3 or 1:5; or "
+            help="Folder, file, or pattern such as depth/{stem}.png; or metres, as 3 or 1:5; or "
             "guessed: by depth-anything, a network of 99 MB, or made-up, the default.",
             metavar="PATH|METRES|depth-anything|made-up",
         ),
@@ -120,16 +126,12 @@ def degrade(
     sequence: Annotated[
         bool, typer.Option("--sequence", help="Each folder is a film: one draw for its frames.")
     ] = False,
-    rig: Annotated[
-        str,
-        typer.Option(
-            help="Folders of one rig's cameras, which share a film; auto: by names and times.",
-            metavar="FOLDER,FOLDER|auto|none",
-        ),
-    ] = "auto",
     resume: Resume = False,
     force: Force = False,
     sheet: Annotated[bool, typer.Option("--sheet", help="Also draw a sheet of results.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Show rows of the table, and what has none; then end.")
+    ] = False,
     ray: Annotated[str | None, typer.Option(help="Ray cluster: auto, host:port, or local.")] = None,
     maps: Annotated[
         str | None,
@@ -138,7 +140,12 @@ def degrade(
             metavar="npy|exr",
         ),
     ] = None,
-    labels: Annotated[str | None, typer.Option(help=f"Labels of pictures: {formats()}.")] = None,
+    labels: Annotated[
+        str | None, typer.Option(help=f"Labels, or a pattern of them: {formats()}.")
+    ] = None,
+    classes: Annotated[
+        str | None, typer.Option(help="File with the classes of YOLO's labels, as data.yaml.")
+    ] = None,
     min_contrast: Annotated[
         float | None, typer.Option(help="Least contrast left for a label to be kept, 0…1.")
     ] = None,
@@ -150,45 +157,39 @@ def degrade(
     """
     with reported_errors():
         if pictures.suffix == ".json":
-            from uwaug.files import replay
-
-            flags = []
-            for name in sorted(context.params.keys() - {"pictures", "out", "force"}):
-                source = context.get_parameter_source(name)
-                if source is not None and source.name != "DEFAULT":
-                    flags.append(f"--{name.rstrip('_').replace('_', '-')}")
-            if flags:
-                got = ", ".join(flags)
-                raise ValueError(f"{pictures} is a record, which says all but --out: not {got}")
-            replay(pictures, out, force=force)
-            print_written(out)
+            _replay(context, pictures, out, force=force)
             return
-        from uwaug.files import Recipe, find_items
+        from uwaug.files import Recipe
         from uwaug.files import degrade as run
-        from uwaug.files.distances import distances_of
-        from uwaug.files.items import left_out
+        from uwaug.files.distances import are_maps, distances_of
         from uwaug.files.prepare import prepare, references_of
+        from uwaug.files.table import as_csv, in_words
         from uwaug.transforms import RandomUnderwater
 
-        is_contrast = any(setting.startswith("water.contrast=") for setting in set_ or ())
-        if severity is not None and (contrast is not None or is_contrast or like):
-            raise ValueError("--severity is a contrast: give no --contrast and no --like with it")
-        if severity == "all" and out.suffix:
-            raise ValueError(f"--severity all needs a folder, got --out {out}")
-        grades = {"": None} if severity is None else _grades(severity)
-        values = _options(preset, plain, options, set_ or (), water or (), contrast)
-        if table := view_table(view, focal_px):
-            values["view"] = table
+        named = set_ or (), water or (), contrast
+        is_contrast = "contrast" in _options(None, False, options, *named)["water"]
+        if severity is not None and (is_contrast or like):
+            raise ValueError("--severity is a contrast: give no contrast and no --like with it")
+        values = _options(preset, plain, options, *named)
+        if view_of := view_table(view, focal_px):
+            values["view"] = view_of
         run_values = {name: values.pop(name) for name in _RUN_OPTIONS if name in values}
-        if {"drift", "motion"} & {*run_values} and not sequence:
+        maps_of = distance if are_maps(distance) else None
+        rows = _rows(pictures, maps_of, labels, sequence=sequence, out=out)
+        print(in_words(rows), flush=True)
+        if dry_run:
+            print(as_csv(rows[:_ROWS_SHOWN]), end="")
+            return
+        has_maps, is_film = any(row.distance for row in rows), any(row.film for row in rows)
+        if {"drift", "motion"} & {*run_values} and not is_film:
             raise ValueError(f"--set {next(iter(run_values))} is of films: give --sequence")
-        if plain and not (values["water"].get("waters") and (distance or "distance" in values)):
+        is_placed = distance is not None or has_maps or "distance" in values
+        if plain and not (values["water"].get("waters") and is_placed):
             raise ValueError("--plain draws nothing: give both, one --water and --distance")
-        map_values: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
-        source = values.pop("distance", None)
-        distances = distances_of(distance, source, sequence=sequence, **map_values)
-        if distances.source is not None:
-            values["distance"] = distances.source
+        of_maps: Any = {"unit": number_or_word(unit), "holes": number_or_word(holes)}
+        of_table = {"has_maps": has_maps, "is_film": is_film}
+        stated = values.pop("distance", None)
+        values["distance"], note = distances_of(distance, stated, **of_maps, **of_table)
         augment = RandomUnderwater.from_dict(values)
         if plain and not augment.distance.has_size:
             ends = "--set distance.near=1 --set distance.far=5"
@@ -197,50 +198,70 @@ def degrade(
         getattr(augment.distance, "file", None)
         recipe = Recipe(
             augment,
-            unit=map_values["unit"],
+            unit=of_maps["unit"],
             seed=seed,
             variants=variants,
-            labels=labels,
             min_contrast=min_contrast,
-            sequence=sequence,
-            rig=rig,
+            classes=classes,
             maps=maps,
             **run_values,
         )
-        items = find_items(pictures, distances.maps, exclude=[out, labels])
-        if formats_left_out := left_out(pictures, distances.maps, exclude=[out, labels]):
-            print(f"left out, as such files are not read: {formats_left_out}")
         references = references_of(like or ())
         with status() as say:
             if references:
                 say("looking for waters like the photographs")
-            recipe, sentences = prepare(recipe, items, references)
-        for sentence in filter(None, (distances.note, *sentences)):
+            recipe, sentences = prepare(recipe, rows, references)
+        for sentence in filter(None, (note, *sentences)):
             print(sentence, flush=True)
+        how: Any = {"workers": workers, "resume": resume, "force": force, "sheet": sheet}
         summaries = []
-        for folder, left in grades.items():
+        for folder, left in _grades(severity).items():
+            graded = recipe if left is None else recipe.at_contrast(left)
             with counted() as progress:
-                summary = run(
-                    recipe if left is None else recipe.at_contrast(left),
-                    items,
-                    out / folder,
-                    workers=workers,
-                    resume=resume,
-                    force=force,
-                    sheet=sheet,
-                    beside=references,
-                    ray=ray,
-                    progress=progress,
-                )
-            summaries.append(summary)
-            _print_summary(summary, out / folder, labels, has_maps=distance is not None)
+                how |= {"beside": references, "ray": ray, "progress": progress}
+                summaries.append(run(graded, rows, out / folder, **how))
+            _print_summary(summaries[-1], out / folder, has_maps=has_maps)
     end_if_failed([failure for summary in summaries for failure in summary.failures])
 
 
-def _grades(severity: str) -> dict[str, float | None]:
+def _replay(context: typer.Context, record: Path, out: Path, *, force: bool) -> None:
+    from uwaug.files import replay
+
+    flags = []
+    for name in sorted(context.params.keys() - {"pictures", "out", "force"}):
+        source = context.get_parameter_source(name)
+        if source is not None and source.name != "DEFAULT":
+            flags.append(f"--{name.rstrip('_').replace('_', '-')}")
+    if flags:
+        raise ValueError(f"{record} is a record, which says all but --out: not {', '.join(flags)}")
+    replay(record, out, force=force)
+    print_written(out)
+
+
+def _rows(
+    pictures: Path, maps: str | None, labels: str | None, *, sequence: bool, out: Path
+) -> list["Row"]:
+    """Rows of a table, or those that are proposed for a folder."""
+    from uwaug.files import propose, read_table
+    from uwaug.files.search import left_out
+
+    if pictures.suffix.lower() == ".csv":
+        stated = {"--distance": maps, "--labels": labels, "--sequence": sequence}
+        if flags := [flag for flag, value in stated.items() if value]:
+            raise ValueError(f"{pictures} is a table, which says it: leave out {flags[0]}")
+        return read_table(pictures)
+    rows = propose(pictures, maps, labels, sequence=sequence, exclude=[out])
+    if unread := left_out(pictures, [out, maps, labels]):
+        print(f"left out, as such files are not read: {unread}")
+    return rows
+
+
+def _grades(severity: str | None) -> dict[str, float | None]:
     """Folders below that of the run, "" for itself, and the contrast that is left in each."""
     from uwaug.transforms.random_underwater import SEVERITIES
 
+    if severity is None:
+        return {"": None}
     if severity == "all":
         return {str(level): left for level, left in SEVERITIES.items()}
     if severity not in map(str, SEVERITIES):
@@ -248,9 +269,9 @@ def _grades(severity: str) -> dict[str, float | None]:
     return {"": SEVERITIES[int(severity)]}
 
 
-def _print_summary(summary: "Summary", out: Path, labels: str | None, has_maps: bool) -> None:
+def _print_summary(summary: "Summary", out: Path, *, has_maps: bool) -> None:
     print_counts(summary, "pictures", out)
-    if labels is not None:
+    if any(result.row.labels for result in summary.results):
         count, kept = summary.objects
         print(f"{kept} of {count} labels kept")
     for note in summary.notes:
@@ -296,6 +317,8 @@ def _options(
         name, equals, text = setting.partition("=")
         if not equals:
             raise ValueError(f"--set expects NAME=VALUE, got {setting!r}")
+        value = _value(text)
+        name = "water.waters" if name == "water" and not isinstance(value, dict) else name
         *tables, key = name.strip().split(".")
         target = options
         for table in tables:
@@ -304,7 +327,7 @@ def _options(
             target = target[table]
             if not isinstance(target, dict):
                 raise ValueError(f"--set {setting}: {table} is {target!r}, no table")
-        target[key] = _value(text)
+        target[key] = value
     return options
 
 

@@ -48,7 +48,8 @@ def depth(
         from uwaug._support import checks
         from uwaug.distance import Inverse, Metres, Network, Relative
         from uwaug.files.depth import write_maps
-        from uwaug.files.items import find_items, left_out
+        from uwaug.files.search import left_out
+        from uwaug.files.table import propose
 
         checks.one_of("holds", holds, _HOLDS)
         kind = {"inverse": Inverse, "relative": Relative, "metres": Metres}[holds]
@@ -61,13 +62,13 @@ def depth(
             std=_colour("std", std),
             revision=revision,
         )
-        items = find_items(pictures, exclude=[out])
-        if formats_left_out := left_out(pictures, exclude=[out]):
-            print(f"left out, as such files are not read: {formats_left_out}")
+        rows = propose(pictures, exclude=[out])
+        if unread := left_out(pictures, [out]):
+            print(f"left out, as such files are not read: {unread}")
         with counted() as progress:
             summary = write_maps(
                 model,
-                items,
+                rows,
                 out,
                 workers=workers,
                 resume=resume,

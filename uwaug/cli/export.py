@@ -1,5 +1,6 @@
 """`uwaug export` and `uwaug check`: ONNX files."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,15 +48,10 @@ def export(
                 # planned for the widths of all named waters
                 named = (_transform(preset, other, options) for other in (*WATERS, *PLACES))
                 media = [transform.module().medium for transform in named]
-                module = Underwater(
-                    Medium.stack([module.medium, *media]),
-                    module.distance_range,
-                    module.tolerance,
-                    module.color_space,
-                    sides=sides,
-                    development=module.development,
-                    light=module.light,
-                    view=module.view,
+                medium = Medium.stack([module.medium, *media])
+                setting = replace(module.setting, medium=medium)
+                module = Underwater.of(
+                    setting, module.distance_range, module.tolerance, sides=sides
                 )
         export_onnx(module, out, coefficients=coefficients, progress=say)
     print_written(out)
@@ -63,7 +59,6 @@ def export(
 
 
 def _transform(preset: str, water: str | None, options: Path | None) -> "RandomUnderwater":
-    """A preset with the options of a file and a water, each in place of what comes before."""
     from uwaug.presets import load_preset
     from uwaug.transforms import RandomUnderwater
 

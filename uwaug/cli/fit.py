@@ -5,19 +5,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from uwaug.cli.choices import (
-    Distance,
-    FocalPx,
-    Force,
-    Unit,
-    ViewAngle,
-    number_or_word,
-    read_metres,
-    view_table,
-)
+from uwaug.cli.choices import Distance, Force, Unit, number_or_word, read_metres, view_table
 from uwaug.cli.console import print_written, reported_errors, require_writable
-
-_JPEG_TABLE_SUM = 3688  # of the standard's table for luminance, which is quality 50
 
 
 def fit(
@@ -39,11 +28,11 @@ def fit(
         typer.Option(help="Model of the water; waters finds its Jerlov type, contents and depth."),
     ] = "auto",
     surfaces: Annotated[
-        Literal["auto", "grey", "spectral"],
-        typer.Option(help="Surfaces of --model waters: grey, with spectra, or what fits better."),
-    ] = "auto",
+        Literal["auto", "grey", "spectral"] | None,
+        typer.Option(help="Of --model waters: grey, with spectra, or else what fits better."),
+    ] = None,
     camera: Annotated[
-        str | None, typer.Option(help="Camera of --model waters: a name, or a CSV file.")
+        str | None, typer.Option(help="Of --model waters: a camera's name, or a CSV file.")
     ] = None,
     g: Annotated[
         float | None,
@@ -52,8 +41,13 @@ def fit(
     mu: Annotated[
         float | None, typer.Option(help="Of --model waters: share scattered back; else 1.5·g.")
     ] = None,
-    view: ViewAngle = None,
-    focal_px: FocalPx = None,
+    view: Annotated[
+        float | None,
+        typer.Option(help="Of --model waters: horizontal angle of the view, degrees; else 60."),
+    ] = None,
+    focal_px: Annotated[
+        float | None, typer.Option(help="In place of --view: focal length, px of the pictures.")
+    ] = None,
     darkest: Annotated[
         float | None,
         typer.Option(
@@ -82,21 +76,19 @@ def fit(
     from uwaug.distance.unknown import of_metres
     from uwaug.files.pictures import read_picture
     from uwaug.fitting import fit_veil, fit_water
+    from uwaug.fitting.data import jpeg_quality
 
     with reported_errors():
         if figure is not None:
             require("plot", "matplotlib")
         if model == "waters" and gain == "fixed":
             raise ValueError("--model waters fits the gain: leave out --gain fixed")
-        if model != "waters" and surfaces != "auto":
-            raise ValueError(f"--surfaces {surfaces} is of --model waters, got --model {model}")
-        optics = {"camera": camera, "g": g, "mu": mu}
+        optics: dict[str, Any] = {"surfaces": surfaces, "camera": camera, "g": g, "mu": mu}
         optics = {name: value for name, value in optics.items() if value is not None}
+        if table := view_table(view, focal_px):
+            optics["view"] = uwaug.View(**table)
         if optics and model != "waters":
             raise ValueError(f"--{next(iter(optics))} is of --model waters, got --model {model}")
-        table = view_table(view, focal_px)
-        if table and model != "waters":
-            raise ValueError(f"--view and --focal-px are of --model waters, got --model {model}")
         if clean is None and (model not in ("auto", "veil") or gain == "fixed"):
             raise ValueError(f"--model {model} --gain {gain} needs --clean")
         if clean is not None and darkest is not None:
@@ -116,10 +108,9 @@ def fit(
                 options["darkest"] = darkest
             result = fit_veil(wet, z, **options)
         else:
-            dry, options["jpeg"] = read_picture(clean), _jpeg_quality(observed)
+            dry, options["jpeg"] = read_picture(clean), jpeg_quality(observed)
             if model == "waters":
-                options |= {"surfaces": surfaces, "view": uwaug.View(**table), **optics}
-                result = fit_water(dry, wet, z, **options)
+                result = fit_water(dry, wet, z, **options, **optics)
             else:
                 result = uwaug.fit(dry, wet, z, model=model, gain=gain, **options)
         result.save(out)
@@ -128,18 +119,3 @@ def fit(
         if figure is not None:
             result.plot().savefig(figure)
             print_written(figure)
-
-
-def _jpeg_quality(path: Path) -> int | None:
-    """Quality of a JPEG file by its table for luminance, 1…100; None of other files."""
-    from PIL import Image
-
-    if path.suffix.lower() not in (".jpg", ".jpeg"):
-        return None
-    with Image.open(path) as image:
-        table = getattr(image, "quantization", {}).get(0)
-    if not table:
-        return None
-    percent = 100 * sum(table) / _JPEG_TABLE_SUM
-    quality = (200 - percent) / 2 if percent <= 100 else 5000 / percent
-    return int(min(max(round(quality), 1), 100))

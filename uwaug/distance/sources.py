@@ -116,7 +116,11 @@ class Metres(Source):
                 z = torch.where(stand_in, torch.inf, z)
             z = torch.where(range_end(z), torch.inf, z)
         if self.planar:
-            focal_px = view.get("focal_px") or 0.0
+            focal_px: Any = view.get("focal_px")
+            if focal_px is None:
+                raise ValueError(
+                    "planar maps need the camera's view: give view= (--view, --focal-px)"
+                )
             checks.positive("focal_px", focal_px, "px")
             (h, w), (height, width) = z.shape[-2:], image.shape[-2:]
             x, y = view.get("center") or (width / 2, height / 2)

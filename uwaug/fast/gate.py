@@ -46,7 +46,8 @@ def can(image: Tensor, z: Tensor, setting: Setting) -> bool:
     if Tensor in map(type, vars(development).values()):
         return False
     records = torch.is_grad_enabled()
-    for value in (image, z, *medium.tensors(), None if light is None else light.pitch):
+    tensors = () if medium.is_of_arrays else medium.tensors()
+    for value in (image, z, *tensors, None if light is None else light.pitch):
         if isinstance(value, Tensor):
             is_plain = type(value) in (Tensor, torch.nn.Parameter) and value.is_cpu
             if not is_plain or (records and value.requires_grad):

@@ -22,7 +22,6 @@ from uwaug.fast.tables import (
     DevelopmentTable,
     Floats,
     Indices,
-    LampsTable,
     PlanTable,
     RaysTable,
     WaterTable,
@@ -85,21 +84,20 @@ def form(
     brightest = weights
     if light is not None and light.lamps:
         brightest = _in_pixels(light.planned(medium), setting, size)
-    lamps = [lamps_table(light, brightest.row(n)) for n in range(len(medium))]
-    waters = _waters(medium, light, weights, lamps, maps)
+    waters = _waters(medium, light, weights, brightest, maps)
     rays = rays_tables(setting.view, light, size)
-    batch = max(len(J), len(maps), len(medium), len(rays))
+    batch = max(len(J), len(maps), len(waters), len(rays))
     columns: Any = J.numpy(), maps.numpy()[:, 0], unscaled.numpy()[:, 0], waters, rays
     if batch > 1:
         columns = [_each(column, batch) for column in columns]
-    scenes = [_Scene(*row) for row in zip(*columns, strict=True)]
+    scenes = list(map(_Scene, *columns))
     gains = _gains(scenes, development)
     ends = blurred_between(z, brightest)
     if plan is None:
         law = IN_PIXELS[medium.law.shape]
-        plan = demand_of(brightest.seen_by(gains), law, ends, tolerance).plan(size, shared=True)
+        plan = demand_of(brightest.brightened(gains), law, ends, tolerance).plan(size, shared=True)
     blurs = plan_table(plan, size)
-    widths = [places_table(weights.row(n), plan, ends) for n in range(len(medium))]
+    widths = [places_table(weights.row(n), plan, ends) for n in range(len(waters))]
     normals, begins, developments = _camera(development, gains, batch, size)
     highest = np.ones(batch, np.float32)
     if srgb and high > 1:
@@ -135,20 +133,17 @@ def _in_pixels(medium: Medium, setting: Setting, size: Size) -> Weights:
 
 
 def _waters(
-    medium: Medium, light: Light | None, weights: Weights, lamps: list[LampsTable], z: Tensor
+    medium: Medium, light: Light | None, day: Weights, lit: Weights, z: Tensor
 ) -> list[WaterTable]:
     """Tables of each medium: in the light of the day, and under lamps."""
-    day = weights
     if light is not None and light.daylight != 1:
-        day = weights.seen_by(light.daylight * np.eye(3)[None])
-    return [
-        WaterTable(
-            medium_table(day.row(n)),
-            terms_table(medium if len(medium) == 1 else medium[n], z.numpy()),
-            lamps[n],
-        )
-        for n in range(len(medium))
-    ]
+        day = day.brightened(light.daylight * np.eye(3)[None])
+    tables, count = [], len(medium)
+    for n in range(count):
+        terms = terms_table(medium if count == 1 else medium[n], z.numpy())
+        lamps = lamps_table(light, lit.row(n))
+        tables.append(WaterTable(medium_table(day.row(n)), terms, lamps))
+    return tables
 
 
 def _snow(setting: Setting, z: Tensor, metres: Tensor, batch: int) -> list[Floats]:

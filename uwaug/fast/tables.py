@@ -241,6 +241,7 @@ def _mirrored(margin: int, size: int) -> Indices:
 # are the entry. With 128 entries in an octave pictures are right within 1e-6. (Other tables:
 # benchmarks/CHOICES.md, loops.)
 ENTRY_BITS = 16
+_AT_LENS = torch.zeros(1, 1, 1, 1)
 _MIN_DISTANCE = 1e-6  # m, and share of the farthest distance: stands for 0, which has no logarithm
 
 
@@ -267,7 +268,7 @@ def places_table(row: Weights, plan: BlurPlan, ends: tuple[float, float]) -> Dis
 
 def terms_table(medium: Medium, z: Floats) -> DistanceTable:
     """Light (3) of a medium's further terms by distance; without entries if there are none."""
-    if not medium.further_terms(medium.b_mean.reshape(1, 1, 1, 1)):
+    if not medium.further_terms(_AT_LENS):
         return DistanceTable(np.int32(0), np.zeros((3, 0), np.float32))
 
     def light(z: Array) -> Array:
@@ -294,7 +295,7 @@ def lamps_table(light: Light | None, row: Weights) -> LampsTable:
     if light is None or not light.lamps:
         return _NO_LAMPS
     colours = [np.diag(lamp.power * np.array(lamp.color)) for lamp in light.lamps]
-    of_lamps = [row.seen_by(colour[None]) for colour in colours]
+    of_lamps = [row.brightened(colour[None]) for colour in colours]
     # one share for each channel; for surfaces with spectra, one for all
     straight, signal = (x.reshape(3, 3, -1).sum(1) for x in (row.direct, row.signal))
     if row.signal[0].reshape(3, 3, -1)[~np.eye(3, dtype=bool)].any():  # channels mix

@@ -54,8 +54,7 @@ def preset_case(name: str, preset: RandomUnderwater) -> Case:
     only = preset.module()
     if only.light is not None:
         raise ValueError(f"{name}: sheets of terms are by daylight, but it has a light of its own")
-    space, camera = only.color_space, only.development
-    module = Underwater(only.medium, None, color_space=space, development=camera)
+    module = Underwater.of(only.setting, None)
     setting = f"Preset {name}: {only.medium.notes[0]}"
     return Case(f"preset {name}", setting, module, preset.water.field or (1.0, 1.0))
 

@@ -1,7 +1,5 @@
 from .depth import write_maps as write_maps
 from .formats import open_labels as open_labels
-from .items import Item as Item
-from .items import find_items as find_items
 from .pictures import read_distance as read_distance
 from .pictures import read_picture as read_picture
 from .pictures import write_picture as write_picture
@@ -9,5 +7,9 @@ from .recipe import Recipe as Recipe
 from .record import read_record as read_record
 from .summary import Result as Result
 from .summary import Summary as Summary
+from .table import Row as Row
+from .table import propose as propose
+from .table import read_table as read_table
+from .table import write_table as write_table
 from .underwater import degrade as degrade
 from .underwater import replay as replay

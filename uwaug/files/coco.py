@@ -1,167 +1,185 @@
-"""Labels of COCO: a JSON file for all pictures."""
+"""Labels of COCO: a JSON file for many pictures."""
 
-import hashlib
 import json
 import os
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from uwaug._support.atomic import read_text
-from uwaug.files.folder import MANIFEST
 from uwaug.files.labels import Entry, Key, Labels, require_size
-from uwaug.files.paths import matched, parts_of, split_of
 
 if TYPE_CHECKING:
     from uwaug._support.pixels import Pixels, Size
-    from uwaug.files.items import Item
     from uwaug.files.summary import Result
+    from uwaug.files.table import Row
+
+# formats of JSON that are not read, by what they have in place of images
+_OTHERS = {"videos": "YouTube-VIS", "image": "SA-1B", "shapes": "labelme"}
 
 
-_OTHERS = (
-    "in LVIS write the end of coco_url as file_name; of YouTube-VIS, SA-1B, labelme, jsonl, CSV or "
-    "MOT's gt.txt make a COCO file with an image for each frame or picture"
-)
-_MOST_FILES = 64  # of the splits of a data set
+class _Image(NamedTuple):
+    file: Path
+    place: str  # path below the folder of the run that the file is written to
+    image: Entry
+    annotations: list[Entry]
 
 
 @dataclass(frozen=True, eq=False)
 class Coco(Labels):
-    """Labels in one JSON file; `of` has the image and the annotations of each picture."""
+    """Labels in JSON files, of which each is written again. An image is that of the picture whose
+    path ends in its file_name.
+    """
 
-    rest: Entry = field(default_factory=dict)  # all other entries of the file
-    count: int = 0  # of images in the file
-    is_split: bool = False  # if it is one of several
+    of: Mapping[str, _Image]
+    rests: Mapping[str, Entry] = field(default_factory=dict)  # of files by place: all but the above
+    told: Sequence[str] = ()
 
-    reads = "a COCO file (.json)"
+    reads = "COCO's files"
+    endings = (".json",)
 
     @classmethod
-    def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
-        if not path.is_file():
-            return ""
-        try:
-            rest = json.loads(read_text(path))
-            images = list(rest.pop("images"))
-            annotations: dict[Any, list[Entry]] = {image["id"]: [] for image in images}
-            are_named = all(parts_of(str(image["file_name"])) for image in images)
-            if len(annotations) < len(images) or not are_named:
-                raise ValueError("expected a file_name and an id of its own for each image")
-            for entry in rest.pop("annotations"):
-                if "segments_info" in entry:
-                    cure = "give the folder of its PNGs, and strike from it what they lose"
-                    return f"{path}: is a panoptic file: {cure}"
-                annotations[entry["image_id"]].append(entry)
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            return f"{path}: is no COCO file: {error!r}: {_OTHERS}"
-        matches = _matches(path, images, items)
-        of = {name: (image, annotations[image["id"]]) for name, image in matches.items()}
-        names = ", ".join(str(image["file_name"]) for image in images[:3])
-        expected = f"no image has the file_name {items[0].name} in its split (there are {names})"
-        return cls(path, of, rest, len(images)) if of else f"{path}: {expected}"
+    def opened(cls, rows: Sequence["Row"], classes: Path | None = None) -> Self:
+        rows_of: dict[Path, list[Row]] = defaultdict(list)
+        for row in rows:
+            if row.labels is not None:
+                rows_of[Path(os.path.abspath(row.labels))].append(row)
+        of: dict[str, _Image] = {}
+        rests, told = {}, []
+        for file, place in _places(rows_of, rows).items():
+            images, annotations, rests[place] = _read(file)
+            image_of = _matches(file, images, rows_of[file])
+            for name, image in image_of.items():
+                of[name] = _Image(file, place, image, annotations[image["id"]])
+            if bare := [row.name for row in rows_of[file] if row.name not in image_of]:
+                told.append(f"{len(bare)} pictures have no image in {file}, such as {bare[0]}")
+            if missing := len(images) - len({image["id"] for image in image_of.values()}):
+                told.append(f"{missing} of {len(images)} images of {file} have no picture here")
+        return cls(of, rests, told)
 
     def only(self, name: str) -> Self:
-        return replace(super().only(name), rest={})
-
-    def digest(self, name: str) -> str | None:
-        text = json.dumps(self.of.get(name)).encode()
-        return hashlib.sha256(text).hexdigest() if name in self.of else None
+        return replace(super().only(name), rests={}, told=())
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
-        image, annotations = self.of[name]
+        file, _, image, annotations = self.of[name]
         stated = image.get("height") or size[0], image.get("width") or size[1]
-        require_size(self.path, stated, size)
+        require_size(file, stated, size)
         for entry in annotations:
             try:
                 yield entry["id"], _pixels(entry, size)
             except (ValueError, TypeError, KeyError, IndexError) as error:
-                place = f"{self.path}, annotation {entry.get('id')}"
-                raise ValueError(f"{place}: {error!r}") from error
+                raise ValueError(f"{file}, annotation {entry.get('id')}: {error!r}") from error
 
-    def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
-        """A file of the same name, with the images of the pictures, and a "contrast" in each
-        annotation. Images and annotations of several variants get new numbers.
+    def lists(self, results: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
+        """The files, with the images of the results, and a "contrast" in each annotation. Images
+        and annotations of several variants get new numbers.
         """
-        labelled = [picture for picture in pictures if picture.item.name in self.of]
-        renumber = len({picture.item.name for picture in labelled}) < len(labelled)
+        results_of: dict[str, list[Result]] = {place: [] for place in self.rests}
+        for result in results:
+            if result.row.name in self.of:
+                results_of[self.of[result.row.name].place].append(result)
+        contents = {place: self._content(place, own) for place, own in results_of.items()}
+        return contents, [*self.told]
+
+    def _content(self, place: str, results: Sequence["Result"]) -> bytes:
+        ids = {self.of[result.row.name].image["id"] for result in results}
+        are_anew = len(ids) < len(results)
+        names = self._file_names(results)
         images: list[Entry] = []
         annotations: list[Entry] = []
-        for picture in labelled:
-            image, entries = self.of[picture.item.name]
-            if [entry["id"] for entry in entries] != [judged.key for judged in picture.objects]:
-                raise ValueError(f"{self.path} has changed since {picture.place} was written")
-            image_id = len(images) + 1 if renumber else image["id"]
-            place = picture.place
-            if self.is_split:  # pictures lie below its folder, or another, as they did
-                above = parts_of(picture.item.name)[: -len(parts_of(str(image["file_name"])))]
-                place = place.removeprefix("".join(f"{folder}/" for folder in above))
-            images.append({**image, "id": image_id, "file_name": place})
-            for entry, judged in zip(entries, picture.objects, strict=True):
+        for result, name in zip(results, names, strict=True):
+            file, _, image, entries = self.of[result.row.name]
+            if [entry["id"] for entry in entries] != [judged.key for judged in result.objects]:
+                raise ValueError(f"{file} has changed since {result.place} was written")
+            image_id = len(images) + 1 if are_anew else image["id"]
+            images.append({**image, "id": image_id, "file_name": name})
+            for entry, judged in zip(entries, result.objects, strict=True):
                 if judged.kept:
-                    number = len(annotations) + 1 if renumber else entry["id"]
+                    number = len(annotations) + 1 if are_anew else entry["id"]
                     changes = {"id": number, "image_id": image_id, "contrast": judged.contrast}
                     annotations.append({**entry, **changes})
-        content = {**self.rest, "images": images, "annotations": annotations}
-        missing = self.count - len(self.of)
-        note = f"{missing} of {self.count} images of {self.path} have no picture here"
-        text = json.dumps(content, ensure_ascii=False)
-        return {self.path.name: text.encode()}, [note] * bool(missing)
+        content = {**self.rests[place], "images": images, "annotations": annotations}
+        return json.dumps(content, ensure_ascii=False).encode()
+
+    def _file_names(self, results: Sequence["Result"]) -> list[str]:
+        """Paths of results, from the folder on that those of the source begin at, if it is one for
+        all, else from that of the run on.
+        """
+        places = [result.place.split("/") for result in results]
+        counts = [len(_parts(self.of[result.row.name].image["file_name"])) for result in results]
+        folders = {(*parts[:-n],) for parts, n in zip(places, counts, strict=True)}
+        depth = len(folders.pop()) if len(folders) == 1 else 0
+        return ["/".join(parts[depth:]) for parts in places]
 
 
-@dataclass(frozen=True, eq=False)
-class CocoSplits(Coco):
-    """COCO files in a folder, one for each split."""
-
-    splits: Mapping[str, Coco] = field(default_factory=dict)  # by their paths in the folder
-
-    reads = "a folder of COCO files"
-
-    @classmethod
-    def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
-        runs = {file.parent for file in path.rglob(MANIFEST)} - {path}
-        paths = [file for file in sorted(path.rglob("*.json")) if runs.isdisjoint(file.parents)]
-        if len(paths) > _MOST_FILES:
-            return f"{len(paths)} .json files, as of SA-1B or labelme: gather them in one of COCO"
-        opened = {file: Coco.opened(file, items) for file in paths if file.name != MANIFEST}
-        of: dict[str, Any] = {}
-        splits = {}
-        for file, labels in opened.items():
-            if isinstance(labels, Coco):
-                if twice := labels.of.keys() & of.keys():
-                    raise ValueError(f"{file} is one of two that label {min(twice)}: give one")
-                of |= labels.of
-                splits[file.relative_to(path).as_posix()] = replace(labels, is_split=True)
-            elif split_of(re.split(r"[\W_]+", str(file.relative_to(path).with_suffix("")))):
-                raise ValueError(f"{file} {labels}")
-        return cls(path, of, splits=splits) if of else "; ".join(map(str, [*opened.values()][:1]))
-
-    def only(self, name: str) -> Self:
-        paths = (file.path for file in self.splits.values() if name in file.of)
-        return replace(super().only(name), path=next(paths, self.path), splits={})
-
-    def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
-        lists = {place: file.lists(pictures) for place, file in self.splits.items()}
-        contents = {place: content for place, (of, _) in lists.items() for content in of.values()}
-        return contents, [note for _, notes in lists.values() for note in notes]
-
-
-def _matches(path: Path, images: Sequence[Entry], items: Sequence["Item"]) -> dict[str, Entry]:
-    """The image of each picture that has one, by the picture's name. A file of one split has none
-    for pictures of another.
-    """
-    labels, pictures = Path(os.path.abspath(path)), {}
-    for item in items:
-        picture = Path(os.path.abspath(item.picture))
-        common = len(Path(os.path.commonpath([labels, picture])).parts)
-        words = [*labels.parts[common:-1], *re.split(r"[\W_]+", labels.stem)]
-        if len({split_of(words), split_of(picture.parts[common:-1])} - {None}) < 2:
-            pictures[item.picture] = item.name
+def _read(file: Path) -> tuple[list[Entry], dict[Any, list[Entry]], Entry]:
+    """Images of a file; annotations of each, by its id; and the rest."""
     try:
-        places = matched([str(image["file_name"]) for image in images], [*pictures], whole=True)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-    return {pictures[p]: images[n[0]] for p, n in places.items() if len(n) == 1}
+        rest = json.loads(read_text(file))
+        for name in _OTHERS.keys() & rest.keys() if "images" not in rest else ():
+            raise ValueError(f"it is {_OTHERS[name]}'s: make a COCO file of it")
+        images = list(rest.pop("images"))
+        annotations: dict[Any, list[Entry]] = {image["id"]: [] for image in images}
+        are_named = all(_parts(image.get("file_name", "")) for image in images)
+        if len(annotations) < len(images) or not are_named:
+            expected = "expected a file_name (in LVIS, the end of coco_url) and an id of its own"
+            raise ValueError(f"{expected} for each image")
+        for entry in rest.pop("annotations"):
+            if "segments_info" in entry:
+                raise ValueError("it is a panoptic one: name its PNGs, masks, as labels")
+            annotations[entry["image_id"]].append(entry)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{file}: is no COCO file: {error!r}") from None
+    return images, annotations, rest
+
+
+def _matches(file: Path, images: Sequence[Entry], rows: Sequence["Row"]) -> dict[str, Entry]:
+    """The image of each row that has one, by the row's name; refuses what may be two."""
+    candidates: dict[str, list[tuple[list[str], Entry]]] = defaultdict(list)
+    for image in images:
+        parts = _parts(image["file_name"])
+        candidates[parts[-1]].append((parts, image))
+    image_of: dict[str, Entry] = {}
+    picture_of: dict[Any, Path] = {}
+    for row in rows:
+        path = _parts(os.path.abspath(row.picture))
+        fits = [image for parts, image in candidates[path[-1]] if path[-len(parts) :] == parts]
+        if len(fits) > 1:
+            got = " or ".join(str(image["file_name"]) for image in fits[:2])
+            cure = "write longer paths as file_name, or give files of one folder each"
+            raise ValueError(f"{file}: {row.picture} may be {got}: {cure}")
+        for image in fits:
+            other = picture_of.setdefault(image["id"], row.picture)
+            if other != row.picture:
+                got = f"{image['file_name']} may be {other} or {row.picture}"
+                cure = "write in the column labels whose it is, or give the pictures of one folder"
+                raise ValueError(f"{file}: {got}: {cure}")
+            image_of[row.name] = image
+    if not image_of:
+        names = ", ".join(str(image["file_name"]) for image in images[:3])
+        expected = f"no file_name is the end of a path such as {rows[0].picture}"
+        raise ValueError(f"{file}: {expected} (there are {names})")
+    return image_of
+
+
+def _places(files: Collection[Path], rows: Sequence["Row"]) -> dict[Path, str]:
+    """Where each file is written: at its path below the folder that names of pictures begin at, if
+    all are there; else below the folder that holds all of them.
+    """
+    paths = {os.path.abspath(row.picture): row.name for row in rows}
+    roots = {path.removesuffix(name) for path, name in paths.items() if path.endswith(name)}
+    if len(roots) != 1 or not all(file.is_relative_to(*roots) for file in files):
+        roots = {os.path.commonpath([file.parent for file in files])}
+    return {file: file.relative_to(*roots).as_posix() for file in files}
+
+
+def _parts(path: str) -> list[str]:
+    """Folders and name of a file, on any system, in normal form."""
+    from uwaug.files.table import normal
+
+    return [part for part in normal(path.replace("\\", "/")).split("/") if part not in ("", ".")]
 
 
 def _pixels(entry: Entry, size: "Size") -> "Pixels":

@@ -12,16 +12,16 @@ from torch import Tensor
 from uwaug._support import codec
 from uwaug._support.atomic import written_whole
 from uwaug.distance import Inverse, Metres, Network, Relative
-from uwaug.files.items import Item
 from uwaug.files.pictures import read_distance, read_picture
 from uwaug.files.record import digest
 from uwaug.files.run import Job, Work, run
 from uwaug.files.summary import Summary
+from uwaug.files.table import Row, require_rows
 
 _WHITE = 65535  # of 16 bits
 
 
-def write_maps(network: Network, items: Sequence[Item], out: str | Path, **options: Any) -> Summary:
+def write_maps(network: Network, rows: Sequence[Row], out: str | Path, **options: Any) -> Summary:
     """Write the maps of a network as PNG of 16 bits with the names of the pictures, and a record
     beside each.
 
@@ -30,7 +30,7 @@ def write_maps(network: Network, items: Sequence[Item], out: str | Path, **optio
 
     Args:
         network: a network in a file.
-        items: pictures, see `find_items`.
+        rows: pictures, see `propose`.
         out: folder to write to, made if need be.
         options: workers, resume, force, sheet and progress, as for `degrade`.
 
@@ -39,7 +39,8 @@ def write_maps(network: Network, items: Sequence[Item], out: str | Path, **optio
         ValueError, OSError: as `degrade`.
     """
     work = _Maps(network, Path(out))
-    jobs = [Job(item, Path(item.name).with_suffix(".png").as_posix()) for item in items]
+    require_rows(rows)
+    jobs = [Job(row, Path(row.name).with_suffix(".png").as_posix()) for row in rows]
     return run(work, jobs, **options)
 
 
@@ -51,11 +52,11 @@ class _Maps(Work):
         self.network = network
 
     def make(self, job: Job) -> tuple[NDArray[np.uint16], dict[str, Any]]:
-        image = read_picture(job.item.picture)
+        image = read_picture(job.row.picture)
         image = image.clamp(0, 1) if image.is_floating_point() else image / 255
         return _whole_numbers(self.network(image), self.network), {}
 
-    def write(self, path: Path, result: NDArray[np.uint16], item: Item) -> None:
+    def write(self, path: Path, result: NDArray[np.uint16], row: Row) -> None:
         with written_whole(path) as part:
             Image.fromarray(result).save(part, "PNG")
 

@@ -7,13 +7,11 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
 
 from uwaug import __version__
 from uwaug._support.atomic import require_regular, write_whole
-from uwaug.files.record import digest
 
 MANIFEST = "uwaug-run.json"  # by whom, with what, and which files
 NOT_OURS = "was not written by a run: move it, or choose another folder"
@@ -90,9 +88,9 @@ def _lock(file: IO[str]) -> bool | None:
 
 
 class RunFolder:
-    """What a run may write in a folder that it holds: `files` and lists of all pictures. Anything
-    else in the folder is refused, but a run to `resume`, with the same `made_with`, or to remove by
-    `force`. `inputs` are real paths of files that are read, and never removed.
+    """What a run may write in a folder that it holds: `files` of its results, and `lists` of all.
+    Anything else in the folder is refused, but a run to `resume`, with the same `made_with`, or to
+    remove by `force`. `inputs` are real paths of files that are read, and never removed.
     """
 
     def __init__(
@@ -110,57 +108,51 @@ class RunFolder:
             if any(not name.startswith(".") for name in os.listdir(out)):
                 raise FileExistsError(f"{out} is not empty, and of no run: choose another folder")
         elif force:
-            self._remove(earlier, inputs)
+            self._remove(earlier["files"], inputs)
         elif not resume:
             cure = f"resume=True (--resume) goes on, {_ANEW}"
             raise FileExistsError(f"{out} is not empty, but of a run: {cure}")
         else:
-            require_same(out, earlier, made_with)
-            others = sorted({*earlier["files"]} - {*files})
-            if stale := [name for name in others if (out / name).exists()]:
+            _require_same(out, earlier, made_with)
+            results = {*earlier["files"]} - {*earlier["lists"]}
+            if stale := [name for name in sorted(results - {*files}) if (out / name).exists()]:
                 got = f"{out} holds {len(stale)} files that this run does not make"
                 raise FileExistsError(f"{got}, such as {stale[0]}: remove them; or {_ANEW}")
-        earlier = (resume and not force and earlier) or {"files": [], "lists": {}}
+        earlier = (resume and not force and earlier) or {"files": [], "lists": []}
         for name in {*files} - {*earlier["files"]}:
             if os.path.lexists(out / name):
                 raise FileExistsError(f"{out / name} {NOT_OURS}")
         who = {"uwaug": __version__, "host": socket.gethostname(), "process": os.getpid()}
-        self._manifest = {**who, **made_with, "files": [*files], "lists": earlier["lists"]}
+        lists = [*earlier["lists"]]
+        self._manifest = {**who, **made_with, "files": [*files, *lists], "lists": lists}
         self._save()
 
     def write_lists(self, lists: Mapping[str, bytes]) -> list[str]:
-        """Write files of all pictures, but those that somebody has written or edited: a sentence on
-        each of these.
-        """
-        digests, notes, own = self._manifest["lists"], [], {}
-        for name, content in lists.items():
-            file = self.out / name
-            if file.exists() and digest(file) not in digests.get(name, ()):
-                notes.append(f"{file} stays, as it was edited: remove it, and --resume writes it")
-                continue
-            own[name] = content
-            # that of before counts as well, should this process be killed here
-            digests[name] = [*digests.get(name, [])[-1:], sha256(content).hexdigest()]
+        """Write files of all pictures, but those that no run has written: a sentence on each."""
+        own, notes = self._manifest["lists"], []
+        for name in lists.keys() - {*own}:
+            if os.path.lexists(self.out / name):
+                notes.append(f"{self.out / name} {NOT_OURS}")
+            else:
+                own.append(name)
+                self._manifest["files"].append(name)
         self._save()
-        for name, content in own.items():
-            write_whole(self.out / name, content)
+        for name in lists.keys() & {*own}:
+            write_whole(self.out / name, lists[name])
         return notes
 
     def _save(self) -> None:
         write_whole(self.out / MANIFEST, f"{json.dumps(self._manifest, indent=1)}\n".encode())
 
-    def _remove(self, manifest: Mapping[str, Any], inputs: Collection[str]) -> None:
-        """Remove the files of a run, but lists that were edited."""
-        lists = manifest["lists"].items()
-        own = [name for name, digests in lists if digest(self.out / name) in digests]
-        files = [self.out / name for name in (*manifest["files"], *own)]
+    def _remove(self, names: Collection[str], inputs: Collection[str]) -> None:
+        files = [self.out / name for name in names]
         if read := next((file for file in files if os.path.realpath(file) in inputs), None):
             raise ValueError(f"{read} is read, and would be removed: choose another folder")
         for file in files:
             file.unlink(missing_ok=True)
 
 
-def require_same(out: Path, earlier: Mapping[str, Any], made_with: Mapping[str, Any]) -> None:
+def _require_same(out: Path, earlier: Mapping[str, Any], made_with: Mapping[str, Any]) -> None:
     """Refuse to go on with results of another recipe."""
     changes = [name for name, value in made_with.items() if earlier.get(name) != value]
     if changes:

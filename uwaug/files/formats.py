@@ -1,43 +1,56 @@
-"""The formats of labels."""
+"""The formats of labels, told by the endings of files."""
 
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uwaug.files.coco import Coco, CocoSplits
-from uwaug.files.labels import STEM, Labels
+from uwaug.files.coco import Coco
+from uwaug.files.labels import Labels
 from uwaug.files.masks import Masks
-from uwaug.files.voc import Voc
 from uwaug.files.yolo import Yolo
 
 if TYPE_CHECKING:
-    from uwaug.files.items import Item
+    from uwaug.files.table import Row
 
-# in the order of trial: data sets in any format may hold masks, too
-FORMATS: tuple[type[Labels], ...] = (Coco, Yolo, Voc, CocoSplits, Masks)
+FORMATS: tuple[type[Labels], ...] = (Coco, Yolo, Masks)
+ENDINGS = Yolo.endings + Masks.endings  # of files that are of one picture each
+# endings of files that are not read, with what to do about it
+OTHERS = {
+    ".xml": "make a COCO file of Pascal VOC's: datum convert --input-format voc --input-path "
+    "FOLDER --output-format coco, of the package datumaro",
+}
 
 
 def formats() -> str:
-    """Files and folders that labels may be, in words."""
-    *first, last = (format.reads for format in FORMATS)
+    """Files that labels may be, in words."""
+    *first, last = (f"{format.reads} ({', '.join(format.endings)})" for format in FORMATS)
     return f"{', '.join(first)}, or {last}"
 
 
-def open_labels(path: str | Path, items: Sequence["Item"]) -> Labels:
-    """Open the labels of pictures in a file or a folder, or by a pattern such as
-    "masks/{stem}_gt.png", in any of the formats; a ValueError says what was looked for.
+def open_labels(rows: Sequence["Row"], classes: str | Path | None = None) -> Labels:
+    """Open the labels of rows, all in one format, which the endings of their names tell.
+
+    Args:
+        rows: rows of a table; those without labels are backgrounds.
+        classes: file that names the classes of YOLO's labels, and how many keypoints they have, as
+            a data.yaml does. Without it, a data.yaml in the folder of all labels, or the nearest of
+            the two above.
+
+    Raises:
+        ValueError: if they are no labels, of several formats, or belong to no picture.
+        OSError: if a file cannot be read.
     """
-    path = Path(path)
-    (folder := path.parent if path.name.startswith(STEM) else path).stat()
-    reasons = []
-    for format in FORMATS:
-        labels = format.opened(path, items)
-        if isinstance(labels, Labels):
-            return labels
-        reasons.append(labels)
-    ends = Counter(file.suffix for file in folder.rglob("*.*") if file.is_file())
-    reasons += [f"found {count} files ending in {end}" for end, count in ends.most_common(1)]
-    reasons += [f"{file} is MOT's: make a COCO file of it" for file in folder.rglob("gt.txt")][:1]
-    looked = "; ".join(filter(None, reasons))
-    raise ValueError(f"labels belong to no picture: {path} must be {formats()}: {looked}")
+    files = {row.labels.suffix.lower(): row.labels for row in rows if row.labels is not None}
+    kinds = {}
+    for end, file in files.items():
+        format = next((format for format in FORMATS if end in format.endings), None)
+        if format is None:
+            raise ValueError(f"labels: {OTHERS.get(end, f'expected {formats()}')}, got {file}")
+        kinds[format] = file
+    if len(kinds) != 1:
+        got = " and ".join(map(str, kinds.values())) or "no row with any"
+        raise ValueError(f"labels: expected {formats()}, one of these for all rows, got {got}")
+    (format,) = kinds
+    if classes is not None and format is not Yolo:
+        raise ValueError(f"classes (--classes) are of YOLO's labels, got {kinds[format]}")
+    return format.opened(rows, None if classes is None else Path(classes))

@@ -1,31 +1,29 @@
-"""Labels of pictures: found, judged by the contrast left of each object, and written where trainers
-look. A format is a class of `Labels` in a file of its own, named in `formats.py`.
+"""Labels of pictures: judged by the contrast left of each object, and written where trainers look.
+A format is a class of `Labels` in a file of its own, named in `formats.py`.
 
 This file loads neither NumPy nor PyTorch, as command lines ask formats what they read.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 from uwaug._support.atomic import write_whole
-from uwaug.files.paths import Files
-from uwaug.files.record import digest
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from uwaug._support.pixels import Pixels, Size
-    from uwaug.files.items import Item
     from uwaug.files.summary import Result
+    from uwaug.files.table import Row
 
-# of an object in its picture: the id of a COCO annotation, a line of a YOLO file or an object of a
-# VOC file counted from 1, a value of a mask
+# of an object in its picture: the id of a COCO annotation, a line of a YOLO file counted from 1, or
+# a value of a mask
 Key = int | str
 Entry = dict[str, Any]  # an object of JSON or YAML
-STEM = "{stem}"  # in a pattern of files, the name of a picture without its end
-_SAMPLE_FILES = 16  # files of labels by which a format is recognised
+_Content = TypeVar("_Content")
+_SAMPLE_FILES = 16  # files of labels that are looked at before a run
 
 
 class Judged(NamedTuple):
@@ -40,24 +38,20 @@ class Judged(NamedTuple):
 class Labels:
     """Labels of the pictures of a run."""
 
-    reads: ClassVar[str]  # files or folders of the format, in words
-    path: Path  # file or folder
-    of: Mapping[str, Any]  # entry of each picture that has labels, by the name of its `Item`
+    reads: ClassVar[str]  # files of the format, in words
+    endings: ClassVar[tuple[str, ...]]  # of their names
+    of: Mapping[str, Any]  # entry of each picture that has labels, by the name of its row
 
     @classmethod
-    def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
-        """Open the labels at a path if they are of this format and belong to any of the pictures;
-        else return the reason in words, or "". A ValueError if they cannot be read.
+    def opened(cls, rows: Sequence["Row"], classes: Path | None = None) -> Self:
+        """Open the labels that rows name, all in this format; `classes` is a file that names their
+        classes. A ValueError if they are not.
         """
         raise NotImplementedError
 
     def only(self, name: str) -> Self:
         """Labels of one picture, small enough to be sent to another process."""
         return replace(self, of={name: self.of[name]} if name in self.of else {})
-
-    def digest(self, name: str) -> str | None:
-        """Digest of the labels of a picture, which changes with them; None without labels."""
-        raise NotImplementedError
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         """Objects of a picture that has labels, with their pixels, in the file's order. A
@@ -76,81 +70,62 @@ class Labels:
     def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
         """Write the labels of one picture to the folder of the run, without the dropped ones."""
 
-    def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
+    def lists(self, results: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
         """Files of all pictures together, by their names in the folder of the run; and notes."""
         return {}, []
 
 
 @dataclass(frozen=True, eq=False)
-class Folder(Labels):
-    """Labels in a folder with a file for each picture."""
+class PerPicture(Labels):
+    """Labels with a file for each picture: "images" in a picture's path is "labels" in theirs."""
 
-    end: ClassVar[str]  # of the files' names
-    folders: ClassVar[tuple[str, ...]] = ("labels",)  # beside the pictures'; the first is written
-    pictures: ClassVar[str] = "images"  # folder that pictures are written to
+    end: ClassVar[str]  # of the files that are written
     of: Mapping[str, Path]
 
     @classmethod
-    def opened(cls, path: Path, items: Sequence["Item"]) -> "Labels | str":
-        of, files, ends = {}, Files(), cls.ends()
-        if path.name.startswith(STEM):
-            path, end = path.parent, path.name.removeprefix(STEM)
-            ends = (end,) if end.lower().endswith(ends) else ()
-        for item in items:
-            if file := files.of(item.picture, item.name, path, ends, cls.folders):
-                of[item.name] = file
-        if not of:
-            expected = (path / items[0].name).with_suffix(cls.end)
-            return f"no file such as {expected}" if path.is_dir() else ""
-        reasons = []
-        samples = list(of.values())[:: -(-len(of) // _SAMPLE_FILES)]
-        for file in list(samples):
+    def of_rows(cls, rows: Sequence["Row"]) -> Self:
+        """The labels that rows name. Refuses pictures that differ in their endings alone: they
+        would share a file of labels.
+        """
+        labels = cls({row.name: row.labels for row in rows if row.labels is not None})
+        takers: dict[Path, str] = {}
+        for row in rows:
+            (file,) = labels.files(labels.place(row.name), Path())
+            if (other := takers.setdefault(file, row.name)) != row.name:
+                got = f"{other} and {row.name} would both have the labels {file}"
+                raise ValueError(f"labels: {got}: rename one, or leave it out")
+        return labels
+
+    def sampled(self, read: Callable[[Path], _Content]) -> list[_Content]:
+        """What some of the files hold, spread over all. Those that cannot be read are left to the
+        run, unless none can.
+        """
+        contents, errors = [], []
+        for file in [*self.of.values()][:: -(-len(self.of) // _SAMPLE_FILES)]:
             try:
-                cls.require(file)
+                contents.append(read(file))
             except (ValueError, OSError) as error:
-                samples.remove(file)
-                reasons.append(str(error))
-        return cls(path, of).described(samples) if samples else reasons[0]
+                errors.append(error)
+        if not contents:
+            raise errors[0]
+        return contents
 
-    @classmethod
-    def ends(cls) -> tuple[str, ...]:
-        """Ends of the names of files that are read, the likeliest first."""
-        return (cls.end,)
-
-    @staticmethod
-    def require(file: Path) -> None:
-        """Refuse a file of another format."""
+    def without(self, dropped: Collection[Key], source: Path) -> bytes:
+        """Content of a label file without the dropped objects."""
         raise NotImplementedError
-
-    def described(self, samples: Sequence[Path]) -> Self:
-        """The same labels, with what sample files tell of all of them; raises as `opened`."""
-        return self
-
-    def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:
-        """Content of a label file for a picture at a place, without the dropped objects."""
-        raise NotImplementedError
-
-    def digest(self, name: str) -> str | None:
-        return digest(self.of[name]) if name in self.of else None
 
     def place(self, name: str) -> str:
-        return name if self.pictures in name.split("/")[:-1] else f"{self.pictures}/{name}"
-
-    def parted(self, place: str) -> tuple[str, str]:
-        """Parts of a picture's place above the last folder of pictures, and below it."""
-        above, _, below = f"/{place}".rpartition(f"/{self.pictures}/")
-        return above.removeprefix("/"), below.removeprefix("/")
+        return name if "images" in name.split("/")[:-1] else f"images/{name}"
 
     def files(self, place: str, out: Path) -> list[Path]:
-        above, below = self.parted(place)
-        return [(out / above / self.folders[0] / below).with_suffix(self.end)]
+        # as Ultralytics, which looks for the last folder of this name
+        above, _, below = f"/{place}".rpartition("/images/")
+        return [(out / above.removeprefix("/") / "labels" / below).with_suffix(self.end)]
 
     def write(self, name: str, place: str, dropped: Collection[Key], out: Path) -> None:
         if source := self.of.get(name):
             (path,) = self.files(place, out)
-            if path.exists() and path.samefile(source):
-                raise ValueError(f"{path} is read, and would be written over: another folder?")
-            write_whole(path, self.without(dropped, source, place))
+            write_whole(path, self.without(dropped, source))
 
 
 def judged(labels: Labels, name: str, contrast: "Tensor", limit: float | None) -> list[Judged]:

@@ -6,23 +6,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from uwaug.files.labels import Folder, Key, require_size
+from uwaug.files.labels import Key, PerPicture, require_size
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from uwaug._support.pixels import Pixels, Size
     from uwaug.files.summary import Result
+    from uwaug.files.table import Row
 
-_MARKS = ("_mask", "_masks", "_seg", "_segmentation", "-mask")  # of x.png
-_ENDINGS = (".png", ".bmp", ".gif", ".tif", ".tiff")
 _MAX_COLOURS = 256  # of a mask; a photograph has more
 _SMALL_VALUE = 20  # masks that count classes or objects begin below
 _IGNORED_COLOUR = 0xE0E0C0  # Pascal VOC's, of pixels to ignore
 
 
 @dataclass(frozen=True, eq=False)
-class Masks(Folder):
+class Masks(PerPicture):
     """Masks of 8 or 16 bits, or in colour, with a value for each object or class.
 
     The value of a colour is red·65536 + green·256 + blue, but for greys. 0 is background. 255
@@ -32,26 +31,21 @@ class Masks(Folder):
     ignored: frozenset[Key] = frozenset({0, _IGNORED_COLOUR})  # values that stay as they are
     has_255: bool = False  # beside small values in the samples, which is told
 
-    reads = "a folder of masks"
-    end = ".png"  # of those that are written
-    folders = ("labels", "masks", "SegmentationClass")
+    reads = "masks"
+    endings = (".png", ".bmp", ".gif", ".tif", ".tiff")
+    end = ".png"
 
     @classmethod
-    def ends(cls) -> tuple[str, ...]:
-        return tuple(f"{mark}{end}" for mark in ("", *_MARKS) for end in _ENDINGS)
-
-    @staticmethod
-    def require(file: Path) -> None:
-        _read(file)
-
-    def described(self, samples: Sequence[Path]) -> Self:
+    def opened(cls, rows: Sequence["Row"], classes: Path | None = None) -> Self:
         import numpy as np
 
-        values = {value for file in samples for value in np.unique(_read(file)[1]).tolist()}
+        labels = cls.of_rows(rows)
+        samples = labels.sampled(lambda file: np.unique(_read(file)[1]).tolist())
+        values = {value for sample in samples for value in sample}
         if not _counts(values):
-            return self
+            return labels
         # masks that are not among the samples may have 255, too
-        return replace(self, ignored=self.ignored | {255}, has_255=255 in values)
+        return replace(labels, ignored=labels.ignored | {255}, has_255=255 in values)
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         import numpy as np
@@ -64,7 +58,7 @@ class Masks(Folder):
             if value not in ignored:
                 yield value, values == value
 
-    def without(self, dropped: Collection[Key], source: Path, place: str) -> bytes:
+    def without(self, dropped: Collection[Key], source: Path) -> bytes:
         import numpy as np
         from PIL import Image
 
@@ -78,11 +72,8 @@ class Masks(Folder):
         image.save(file, "PNG")
         return file.getvalue()
 
-    def lists(self, pictures: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
-        """CVAT's table of colours and classes."""
-        sources = [folder / "labelmap.txt" for folder in (self.path.parent, self.path)]
-        lists = {source.name: source.read_bytes() for source in sources if source.is_file()}
-        return lists, ["255 in masks says nothing (ignore), and stays"] * self.has_255
+    def lists(self, results: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
+        return {}, ["255 in masks says nothing (ignore), and stays"] * self.has_255
 
 
 def _counts(values: Collection[int]) -> bool:

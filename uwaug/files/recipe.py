@@ -11,8 +11,8 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.codec import plain
 from uwaug.distance.sources import Metres
-from uwaug.files.items import Item, there
 from uwaug.files.pictures import Picture, metres_of, open_picture, read_distance, write_picture
+from uwaug.files.table import Row
 from uwaug.formation.colour import linear_to_srgb
 from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
@@ -31,14 +31,9 @@ class Recipe:
         unit: unit of distances in files, see `read_distance`, where the transform takes metres.
         seed: seed of all random numbers.
         variants: number of variants of each picture.
-        labels: file or folder of labels, see `open_labels`.
         min_contrast: least contrast left of an object, 0…1, for its label to be kept.
-        sequence: True if the pictures of a folder are frames of one film, in the order of their
-            names: one draw for all, settled on one of them.
-        rig: folders that are cameras of one rig and share a film: "auto", by the names of cameras
-            (left and right, cam0 and cam1) and of frames, or their times; "none"; or names with
-            commas between.
-        drift: drift of a sequence's field and snow, m a frame.
+        classes: file that names the classes of YOLO's labels, see `open_labels`.
+        drift: drift of a film's field and snow, m a frame.
         motion: motion of its camera to the right, down and forward, m a frame; or, as "12px", to
             the right, by which what is at the median distance moves so many px to the left.
         quality: quality of JPEG, 1…100.
@@ -50,10 +45,8 @@ class Recipe:
     unit: str | float = "m"
     seed: int = 0
     variants: int = 1
-    labels: str | None = None
     min_contrast: float | None = None
-    sequence: bool = False
-    rig: str = "auto"
+    classes: str | None = None
     drift: float = 0.004
     motion: tuple[float, float, float] | str = (0.0, 0.0, 0.0)
     quality: float = 95
@@ -67,10 +60,6 @@ class Recipe:
             raise ValueError(f"variants must be 1 or more, got {self.variants}")
         if self.min_contrast is not None:
             checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
-        if self.min_contrast is not None and self.labels is None:
-            raise ValueError("min_contrast (--min-contrast) is of labels, of which none are given")
-        if self.rig != "auto" and not self.sequence:
-            raise ValueError("rig (--rig) is of films, which sequence=True (--sequence) asks for")
         checks.within("drift", self.drift)
         if isinstance(self.motion, str):
             self.motion_before(1.0, 1)
@@ -97,7 +86,7 @@ class Recipe:
         return self.transform.make_params(torch.empty(3, 1, 1), generator)
 
     def motion_before(self, median: float, width: int) -> tuple[float, float, float]:
-        """Motion of a sequence's camera, m a frame, before a scene at a median distance (m)."""
+        """Motion of a film's camera, m a frame, before a scene at a median distance (m)."""
         if not isinstance(self.motion, str):
             return self.motion
         try:
@@ -118,10 +107,10 @@ class Recipe:
         """The transform in the colour space of a picture's file: an EXR holds linear light."""
         return self._in_light if picture.suffix.lower() == ".exr" else self.transform
 
-    def read(self, item: Item) -> tuple[Picture, Tensor | None]:
-        """The picture of an item, and its map (1xHxW) where it has one."""
-        space = self.transform_of(item.picture).development.color_space
-        return open_picture(item.picture, space, self.background), self.read_map(item)
+    def read(self, row: Row) -> tuple[Picture, Tensor | None]:
+        """The picture of a row, and its map (1xHxW) where it has one."""
+        space = self.transform_of(row.picture).development.color_space
+        return open_picture(row.picture, space, self.background), self.read_map(row)
 
     def write(self, path: Path, image: Tensor, picture: Path) -> None:
         """Write the result (3xHxW) of the transform of a picture."""
@@ -131,11 +120,7 @@ class Recipe:
             image, space = linear_to_srgb(image.clamp(0, 1)), default
         write_picture(path, image, self.quality, space)
 
-    def read_map(self, item: Item) -> Tensor | None:
-        """The map (1xHxW) of an item, where it has one."""
+    def read_map(self, row: Row) -> Tensor | None:
+        """The map (1xHxW) of a row, where it has one."""
         unit = self.unit if isinstance(self.transform.distance, Metres) else None
-        if item.distance is None:
-            return None
-        if not item.distance.exists():
-            raise ValueError(f"{item.distance} is not there; {there(item.distance)}")
-        return read_distance(item.distance, unit)
+        return None if row.distance is None else read_distance(row.distance, unit)

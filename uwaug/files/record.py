@@ -25,7 +25,7 @@ def read_record(path: Path) -> dict[str, Any]:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: is no record of a picture: {error}") from None
-    keys = {"uwaug", "torch", "numba", "name", "variant", "picture", "distance"}  # of all
+    keys = {"uwaug", "torch", "numba", "row", "variant", "sha256"}  # of all
     if not isinstance(record, dict) or not keys <= record.keys():
         raise ValueError(f"{path}: is no record of a picture that uwaug has written")
     return record

@@ -1,5 +1,6 @@
 """Runs over folders, by processes or Ray, with a record beside each result and an index of all."""
 
+import json
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -16,13 +17,13 @@ from uwaug._support.compiled import wanted
 from uwaug.fast import load
 from uwaug.files.films import Frame
 from uwaug.files.folder import NOT_OURS, RunFolder, held
-from uwaug.files.items import Item
 from uwaug.files.labels import Judged, Labels
 from uwaug.files.pictures import read_picture
 from uwaug.files.pool import on_processes
 from uwaug.files.record import digest, reason_of, record_of, record_path, write_record
 from uwaug.files.sheet import drawn_sheet
 from uwaug.files.summary import Result, Summary
+from uwaug.files.table import Row, absolute
 
 Progress = Callable[[int, int], None]  # of the numbers of finished and of all pictures
 
@@ -30,7 +31,7 @@ Progress = Callable[[int, int], None]  # of the numbers of finished and of all p
 class Job(NamedTuple):
     """A picture of a run."""
 
-    item: Item
+    row: Row
     place: str  # path of its result below the folder of the run
     variant: int = 0
     labels: Labels | None = None
@@ -46,27 +47,25 @@ class Work:
         self.out, self.made_with = out, made_with
 
     def made_of(self, job: Job) -> dict[str, Any]:
-        """Sources of a result, as its record has them."""
-        return {
-            **versions(),
-            **self.made_with,
-            "name": job.item.name,
-            "variant": job.variant,
-            "picture": _source(job.item.picture),
-            "distance": job.item.distance and _source(job.item.distance),
+        """What a result follows from, but for the content of its files, as its record has it."""
+        cells = job.row._asdict()
+        files = {
+            name: str(absolute(cell)) for name, cell in cells.items() if isinstance(cell, Path)
         }
+        json.dumps(files, ensure_ascii=False).encode()  # refuses names that records cannot hold
+        return {**versions(), **self.made_with, "row": {**cells, **files}, "variant": job.variant}
 
     def make(self, job: Job) -> tuple[Any, dict[str, Any]]:
         """Make a result, and the other entries of its record."""
         raise NotImplementedError
 
-    def write(self, path: Path, result: Any, item: Item) -> None:
-        """Write the result of an item, whole or not at all."""
+    def write(self, path: Path, result: Any, row: Row) -> None:
+        """Write the result of a row, whole or not at all."""
         raise NotImplementedError
 
     def files(self, job: Job) -> list[Path]:
         """Files that are written beside a result and its record."""
-        if job.labels is None or job.item.name not in job.labels.of:
+        if job.labels is None or job.row.name not in job.labels.of:
             return []
         return job.labels.files(job.place, self.out)
 
@@ -91,7 +90,7 @@ class Work:
     def died(self, job: Job, reason: str = "") -> Result:
         """The result of a job that has failed for a reason, or that a process has died over."""
         reason = reason or "the process died over it: out of memory, or a damaged file"
-        return Result(job.item, job.variant, job.place, "failed", reason=reason)
+        return Result(job.row, job.variant, job.place, "failed", reason=reason)
 
     def _done(self, job: Job) -> Result:
         path, sources = self.out / job.place, self.made_of(job)
@@ -104,7 +103,9 @@ class Work:
             for file in filter(os.path.lexists, files):
                 raise FileExistsError(f"{file} {NOT_OURS}")
         result, entries = self.make(job)
-        record = {**sources, **entries}
+        files_read = {"picture": job.row.picture, "distance": job.row.distance}
+        digests = {name: file and digest(file) for name, file in files_read.items()}
+        record = {**sources, "sha256": digests, **entries}
         # the result comes last: its labels are there wherever it is, and its record says of both
         # that they are a run's
         for file in files:
@@ -112,8 +113,8 @@ class Work:
         write_record(record_path(path), record)
         if job.labels is not None:
             dropped = {entry["key"] for entry in record["objects"] if not entry["kept"]}
-            job.labels.write(job.item.name, job.place, dropped, self.out)
-        self.write(path, result, job.item)
+            job.labels.write(job.row.name, job.place, dropped, self.out)
+        self.write(path, result, job.row)
         return _of_record(job, "written", record)
 
 
@@ -123,17 +124,11 @@ def versions() -> dict[str, str]:
     return {"uwaug": __version__, "torch": str(torch.__version__), "numba": numba}
 
 
-def _source(path: Path) -> dict[str, Any]:
-    absolute = os.path.abspath(path)
-    absolute.encode()  # refuses names that records cannot hold
-    return {"path": absolute, "sha256": digest(path)}
-
-
 def _of_record(job: Job, status: Any, record: dict[str, Any]) -> Result:
     objects = [Judged(**entry) for entry in record.get("objects", [])]
     shares = record.get("contrast"), record.get("lost")
     words = record.get("odd", ""), record.get("asked", ())
-    return Result(job.item, job.variant, job.place, status, *shares, objects, *words)
+    return Result(job.row, job.variant, job.place, status, *shares, objects, *words)
 
 
 def run(
@@ -147,10 +142,13 @@ def run(
     ray: str | None = None,
     sheet: bool = False,
     beside: Sequence[Path] = (),
+    lists: Mapping[str, bytes] | None = None,
     progress: Progress | None = None,
 ) -> Summary:
-    """Do the work on each job, in a folder that is the run's own, with the options of `degrade`."""
-    out, inputs = work.out, require_apart(work, jobs, labels, sheet=sheet)
+    """Do the work on each job, in a folder that is the run's own, with the options of `degrade`,
+    and with lists of all that are written at once.
+    """
+    out, inputs = work.out, require_apart(work, jobs, sheet=sheet)
     workers = max(1, min(workers or os.cpu_count() or 1, len(jobs)))
     files: list[str] = []
     for job in jobs:
@@ -160,6 +158,7 @@ def run(
         folder = RunFolder(out, work.made_with, files, inputs, resume=resume, force=force)
         for parent in {out, *((out / file).parent for file in files)}:
             remove_left(parent)  # parts of files of a killed run
+        notes = folder.write_lists(lists or {})
         if ray is None:
             stream = on_processes(work, jobs, workers)
         else:
@@ -174,21 +173,19 @@ def run(
             say_alive()
             say(len(results), len(jobs))
         made = [result for result in results if result.status != "failed"]
-        # without results, those of before keep their lists
-        lists, notes = labels.lists(made) if labels is not None and made else ({}, [])
-        lists = {"index.csv": Summary(results).index(), **lists}
+        lists = {"index.csv": Summary(results).index()}
+        if labels is not None and made:  # else those of before stay
+            lists_of_labels, more = labels.lists(made)
+            lists |= lists_of_labels
+            notes += more
         if sheet and made:
             lists["sheet.jpg"] = drawn_sheet(made, work, labels, beside)
         return Summary(results, [*notes, *folder.write_lists(lists)])
 
 
-def require_apart(
-    work: Work, jobs: Sequence[Job], labels: Labels | None = None, *, sheet: bool = False
-) -> set[str]:
+def require_apart(work: Work, jobs: Sequence[Job], *, sheet: bool = False) -> set[str]:
     """Refuse two results in one file, and to write over files that are read: their real paths."""
-    read = [file for job in jobs for file in (job.item.picture, job.item.distance)]
-    if labels is not None:
-        read += [labels.path, *(entry for entry in labels.of.values() if isinstance(entry, Path))]
+    read = [file for job in jobs for file in (job.row.picture, job.row.distance, job.row.labels)]
     inputs = {os.path.realpath(file) for file in read if file is not None}
     outputs = {os.path.realpath(work.out / "sheet.jpg"): Path("--sheet")} if sheet else {}
     for job in jobs:
@@ -197,7 +194,7 @@ def require_apart(
             if output in inputs:
                 raise ValueError(f"{output} is read, and would be written over: another folder?")
             if output in outputs:
-                pair = f"{outputs[output]} and {job.item.picture}"
+                pair = f"{outputs[output]} and {job.row.picture}"
                 raise ValueError(f"{pair} would both be written to {output}: rename one")
-            outputs[output] = job.item.picture
+            outputs[output] = job.row.picture
     return inputs

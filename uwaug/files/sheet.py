@@ -32,15 +32,15 @@ def drawn_sheet(
         path = work.out / result.place
         picture, kept = work.read(path), {judged.key: judged.kept for judged in result.objects}
         size = picture.shape[1], picture.shape[2]
-        for key, pixels in labels.objects(result.item.name, size) if labels and kept else ():
+        for key, pixels in labels.objects(result.row.name, size) if labels and kept else ():
             draw_box(picture, pixels, "yellow" if kept[key] else "red", _SIZE_PX)
         return picture, f"{path.name}\n{work.caption(path)}"
 
     def group(variants: Sequence[Result]) -> Iterator[Cell]:
         blanks = [(torch.ones(3, 1, 1), "")] * (columns - 1 - len(variants))
-        return chain([before(variants[0].item.picture)], map(after, variants), blanks)
+        return chain([before(variants[0].row.picture)], map(after, variants), blanks)
 
-    groups = [[*each] for _, each in groupby(results, lambda result: result.item.picture)]
+    groups = [[*each] for _, each in groupby(results, lambda result: result.row.picture)]
     step = max(1, (len(groups) - 1) // max(1, _MAX_PICTURES - 1))
     sample = [each[:_MAX_VARIANTS] for each in groups[::step][:_MAX_PICTURES]]
     columns = 1 + max(map(len, sample))

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from uwaug.files.items import Item
 from uwaug.files.labels import Judged
+from uwaug.files.table import Row
 
-_COLUMNS = ("name", "variant", "picture", "distance", "output", "contrast", "status", "reason")
+_COLUMNS = ("name", "variant", "result", "contrast", "status", "reason")
 
 ASKED = {
     "turned": "are upright by EXIF alone: maps and labels are taken as upright, too. Are they?",
@@ -24,7 +24,7 @@ ASKED = {
 class Result(NamedTuple):
     """Result of a picture."""
 
-    item: Item
+    row: Row
     variant: int
     place: str  # path of the written file below the folder of the run
     status: Literal["written", "skipped", "failed"]  # skipped, as the same was made before
@@ -38,7 +38,7 @@ class Result(NamedTuple):
 
 @dataclass(frozen=True)
 class Summary:
-    """The results of a run in the order of items and variants, and notes on labels and folder."""
+    """The results of a run in the order of rows and variants, and notes on labels and folder."""
 
     results: Sequence[Result]
     notes: Sequence[str] = ()
@@ -51,7 +51,7 @@ class Summary:
     def failures(self) -> list[str]:
         """Reasons of failures, each after a picture's name."""
         return [
-            r.reason if r.reason.startswith(r.item.name) else f"{r.item.name}: {r.reason}"
+            r.reason if r.reason.startswith(r.row.name) else f"{r.row.name}: {r.reason}"
             for r in self.results
             if r.status == "failed"
         ]
@@ -59,19 +59,19 @@ class Summary:
     @property
     def blank(self) -> list[str]:
         """Names of pictures of which more than half is lost."""
-        return [result.item.name for result in self.results if (result.lost or 0) > 0.5]
+        return [result.row.name for result in self.results if (result.lost or 0) > 0.5]
 
     @property
     def odd(self) -> list[str]:
         """Sentences on waters that are hardly those that were named, each after a picture."""
-        return [f"{result.item.name}: {result.odd}" for result in self.results if result.odd]
+        return [f"{result.row.name}: {result.odd}" for result in self.results if result.odd]
 
     @property
     def asked(self) -> list[str]:
         """Questions of `ASKED` that apply, with the number of pictures and a name."""
         sentences = []
         for key, question in ASKED.items():
-            names = list(dict.fromkeys(r.item.name for r in self.results if key in r.asked))
+            names = list(dict.fromkeys(r.row.name for r in self.results if key in r.asked))
             if names:
                 sentences.append(f"{len(names)} pictures, such as {names[0]}, {question}")
         return sentences
@@ -87,8 +87,6 @@ class Summary:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(_COLUMNS)
-        for result in self.results:
-            item = result.item
-            files = [item.name, result.variant, item.picture, item.distance, result.place]
-            writer.writerow([*files, result.contrast, result.status, result.reason])
+        for r in self.results:
+            writer.writerow([r.row.name, r.variant, r.place, r.contrast, r.status, r.reason])
         return text.getvalue().encode(errors="backslashreplace")

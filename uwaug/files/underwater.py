@@ -3,7 +3,6 @@
 import os
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from os.path import splitext
 from pathlib import Path
 from typing import Any
@@ -16,15 +15,14 @@ from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Inverse, Relative, Source
 from uwaug.distance.unknown import of_shares
 from uwaug.files.films import Films, frames_of
-from uwaug.files.folder import NOT_OURS, require_same
 from uwaug.files.formats import open_labels
-from uwaug.files.items import Item, cure_of
 from uwaug.files.labels import Labels, judged
 from uwaug.files.pictures import ENDINGS, Picture, write_picture
 from uwaug.files.recipe import Recipe
-from uwaug.files.record import digest, read_record, record_of, record_path
+from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, run, versions
 from uwaug.files.summary import Summary
+from uwaug.files.table import Row, as_csv, require_rows
 from uwaug.formation.contrast import FAINT
 from uwaug.optics.curves import FARTHEST
 from uwaug.transforms.truth import MAPS, Truth
@@ -35,7 +33,7 @@ _DARK_LIGHT = 1 / 8  # share of white that no value of a picture of 12 bits in 1
 
 def degrade(
     recipe: Recipe,
-    items: Sequence[Item],
+    rows: Sequence[Row],
     out: str | Path,
     *,
     workers: int = 1,
@@ -48,16 +46,16 @@ def degrade(
 ) -> Summary:
     """Put pictures in files under water.
 
-    Each picture gets a record beside it, from which `replay` makes it again; index.csv lists all.
-    The same recipe and name give the same bytes, whatever the number of workers, and interruptions.
-    A picture that fails does not stop the others.
+    Each picture gets a record beside it, from which `replay` makes it again; index.csv lists all,
+    and table.csv has the rows. The same recipe and names give the same bytes, whatever the number
+    of workers, and interruptions. A picture that fails does not stop the others.
 
     Args:
         recipe: transform and options.
-        items: pictures, see `find_items`.
-        out: folder to write to, made if need be; or, for one picture, the file to write.
+        rows: pictures, see `read_table` and `propose`.
+        out: folder to write to, made if need be.
         workers: number of processes; 1: this one, 0: one for each core.
-        resume: go on after a stop, with the same recipe; what was made of the same files is kept.
+        resume: go on after a stop, with the same recipe; what was made of the same row is kept.
         force: remove first what an earlier run has written to `out`.
         sheet: draw some of the results on sheet.jpg.
         beside: real photographs to draw there, below them.
@@ -65,27 +63,29 @@ def degrade(
         progress: function of the numbers of finished and of all pictures.
 
     Raises:
-        ValueError: if options or labels do not suit, or files would be one, or written over.
+        ValueError: if options or labels do not suit, a map is missing, two rows have one name or
+            map, or files would be one, or written over.
         FileExistsError: if `out` holds anything but a run to `resume` or to redo by `force`, or
             another run is at work there.
         OSError: if `out` cannot be written.
     """
     out, labels = Path(out), None
-    single = out.suffix.lower() in ENDINGS and not out.is_dir()
-    if cure_of(out.suffix) and not out.is_dir():
-        raise ValueError(f"{out}: pictures are written as {', '.join(ENDINGS)}")
-    if single and (len(items) * recipe.variants != 1 or recipe.labels or recipe.maps or sheet):
-        raise ValueError(f"{out} is a file, which is for one picture and nothing else")
-    if recipe.labels is not None:
-        labels = open_labels(recipe.labels, items)
-        masks = {entry for entry in labels.of.values() if isinstance(entry, Path)}
-        items = [item for item in items if item.picture not in masks]
-    _require_distances(recipe, items)
-    if single:
-        return _one(_Underwater(recipe, out.parent), Job(items[0], out.name), resume, force)
-    summary = run(
+    if out.suffix.lower() in ENDINGS and not out.is_dir():
+        raise ValueError(f"out (--out) must be a folder, got {out}")
+    source = recipe.transform.distance
+    require_rows(rows, with_maps=source.reads_maps)
+    if isinstance(source, MadeUp) and any(row.film for row in rows):
+        raise ValueError("distance made up from each frame would flicker: give files, or metres")
+    if any(row.labels for row in rows):
+        labels = open_labels(rows, recipe.classes)
+    for name in ("min_contrast", "classes"):
+        if labels is None and getattr(recipe, name) is not None:
+            flag = f"--{name.replace('_', '-')}"
+            raise ValueError(f"{name} ({flag}) is of labels, of which none are given")
+    folder = os.path.realpath(out)
+    return run(
         _Underwater(recipe, out),
-        list(_jobs(recipe, items, labels)),
+        list(_jobs(recipe, rows, labels)),
         labels=labels,
         workers=workers,
         resume=resume,
@@ -93,33 +93,9 @@ def degrade(
         ray=ray,
         sheet=sheet,
         beside=beside,
+        lists={"table.csv": as_csv(rows, folder).encode(errors="backslashreplace")},
         progress=progress,
     )
-    if labels is None:
-        return summary
-    unlabelled = [item.name for item in items if item.name not in labels.of]
-    got = f"belong to {len(items) - len(unlabelled)} of {len(items)} pictures"
-    rest = f", not to {unlabelled[0]}" if unlabelled else ""
-    return replace(summary, notes=[f"labels, {labels.reads}, {got}{rest}", *summary.notes])
-
-
-def _one(work: Work, job: Job, resume: bool, force: bool) -> Summary:
-    """A picture into a file, which may be that of an earlier run."""
-    require_apart(work, [job])
-    path = work.out / job.place
-    if os.path.lexists(path):
-        before = record_of(path)
-        if before is None:
-            raise FileExistsError(f"{path} {NOT_OURS}")
-        if force:
-            path.unlink()
-        elif resume:
-            require_same(path, before, work.made_with)
-        else:
-            cure = "resume=True (--resume) keeps it, force=True (--force) writes over it"
-            raise FileExistsError(f"{path} exists: {cure}")
-    with one_thread():
-        return Summary([work(job)])
 
 
 def replay(
@@ -156,21 +132,20 @@ def replay(
         cure = "defaults and last bits may differ"
         warnings.warn(f"{record} was written by {got}: {cure}", stacklevel=2)
     recipe = codec.from_plain(entries["recipe"], Recipe)
-    files = []
-    for source, new_path in ((entries["picture"], picture), (entries["distance"], distance)):
-        file = source and Path(new_path or source["path"])
-        if file and digest(file) not in (None, source["sha256"]):
-            raise ValueError(f"{file} has changed since {record} was written")
-        files.append(file)
+    cells = entries["row"]
+    for name, new_path in (("picture", picture), ("distance", distance)):
+        cells[name] = cells[name] and Path(new_path or cells[name])
+        if cells[name] and digest(cells[name]) not in (None, entries["sha256"][name]):
+            raise ValueError(f"{cells[name]} has changed since {record} was written")
     for file, before in entries["options_file"].items():
         if digest(Path(file)) != before:
             raise ValueError(f"{file} is gone, or has changed since {record} was written")
-    item = Item(entries["name"], *files)
-    require_apart(Work(output.parent, {}), [Job(item, output.name)])
+    row = Row(**cells)
+    require_apart(Work(output.parent, {}), [Job(row._replace(labels=None), output.name)])
     with one_thread():
-        (image, *_), z = recipe.read(item)
-        degraded = recipe.transform_of(item.picture).transform(image, z, entries["params"])
-        recipe.write(output, degraded, item.picture)
+        (image, *_), z = recipe.read(row)
+        degraded = recipe.transform_of(row.picture).transform(image, z, entries["params"])
+        recipe.write(output, degraded, row.picture)
 
 
 class _Underwater(Work):
@@ -181,23 +156,19 @@ class _Underwater(Work):
         self.recipe, self._films = recipe, Films(recipe)
 
     def made_of(self, job: Job) -> dict[str, Any]:
-        space = self.recipe.transform_of(job.item.picture).development.color_space
-        sources = {**super().made_of(job), "color_space": space}
-        if job.labels is not None:
-            sources["labels"] = job.labels.digest(job.item.name)
+        sources = super().made_of(job)
         if job.frame is not None:
-            _, settled_on = self._films.settled(job.frame, job.variant)
             number, moment, candidates = job.frame
-            sources["frame"] = [candidates[0].name, number, moment, settled_on]
+            sources["frame"] = [number, moment, *(row.name for row in candidates)]
         return sources
 
     def make(self, job: Job) -> tuple[tuple[Tensor, Truth | None], dict[str, Any]]:
-        item, labels = job.item, job.labels
-        picture, z = self.recipe.read(item)
+        row, labels = job.row, job.labels
+        picture, z = self.recipe.read(row)
         image = picture.image
-        transform = self.recipe.transform_of(item.picture)
+        transform = self.recipe.transform_of(row.picture)
         if job.frame is None:
-            params = self.recipe.drawn(item.name, job.variant)
+            params = self.recipe.drawn(row.name, job.variant)
         else:
             params = self._films.draw(job.frame, job.variant)
         # some pixels are enough for the mean: all of them take a third of the picture's time
@@ -205,14 +176,16 @@ class _Underwater(Work):
         scenes = transform.scenes(image, z, params)
         degraded, contrast = scenes.formed(), scenes.contrast_map(step)
         solid = scenes.metres[:, 0, ::step, ::step] < FARTHEST  # open water hides nothing
-        faint = (contrast < FAINT)[: len(solid)][solid]  # none of a picture that is left alone
+        # a picture that is left alone has no metres
+        faint = (contrast < FAINT)[solid] if len(solid) else contrast[:0]
         clarity = scenes.clarity(0)
         truth = None if self.recipe.maps is None else scenes.truth()
         objects = []
         if labels is not None:
-            objects = judged(labels, item.name, contrast, self.recipe.min_contrast)
+            objects = judged(labels, row.name, contrast, self.recipe.min_contrast)
         return (degraded, truth), {
             "params": params,
+            "color_space": transform.development.color_space,
             "contrast": round(float(contrast.double().mean()), 4),
             "lost": round(float(faint.sum()) / max(faint.numel(), 1), 4),
             "clarity": clarity and clarity.record(),
@@ -222,14 +195,14 @@ class _Underwater(Work):
             "asked": _questions(job, transform.distance, picture, z),
         }
 
-    def write(self, path: Path, result: tuple[Tensor, Truth | None], item: Item) -> None:
+    def write(self, path: Path, result: tuple[Tensor, Truth | None], row: Row) -> None:
         degraded, truth = result
         if truth is not None:
             place = path.relative_to(self.out).as_posix()
             for name, file in zip(MAPS, self._maps(place), strict=True):
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_picture(file, getattr(truth, name).float(), color_space="linear")
-        self.recipe.write(path, degraded, item.picture)
+        self.recipe.write(path, degraded, row.picture)
 
     def files(self, job: Job) -> list[Path]:
         return [*super().files(job), *([] if self.recipe.maps is None else self._maps(job.place))]
@@ -266,7 +239,7 @@ def _short_name(water: str | dict[str, float]) -> str:
 
 def _questions(job: Job, source: Source, picture: Picture, z: Tensor | None) -> list[str]:
     image = picture.image
-    may_be_12_bits = job.item.picture.suffix.lower() in (".png", ".tif", ".tiff")
+    may_be_12_bits = job.row.picture.suffix.lower() in (".png", ".tif", ".tiff")
     may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
     doubts = {
         "turned": (z is not None or job.labels is not None) and picture.orientation > 1,
@@ -277,22 +250,12 @@ def _questions(job: Job, source: Source, picture: Picture, z: Tensor | None) -> 
     return [key for key, applies in doubts.items() if applies]
 
 
-def _require_distances(recipe: Recipe, items: Sequence[Item]) -> None:
-    source = recipe.transform.distance
-    missing = next((item.name for item in items if item.distance is None), None)
-    if missing and source.reads_maps:
-        cure = "give --distance: files, metres, or made-up (MadeUp())"
-        raise ValueError(f"distance is missing: {missing} has no file of it: {cure}")
-    if recipe.sequence and isinstance(source, MadeUp):
-        raise ValueError("distance made up from each frame would flicker: give files, or metres")
-
-
-def _jobs(recipe: Recipe, items: Sequence[Item], labels: Labels | None) -> Iterator[Job]:
-    frames = frames_of(items, recipe.rig) if recipe.sequence else {}
-    for item in items:
-        place = item.name if labels is None else labels.place(item.name)
-        labels_of_item = None if labels is None else labels.only(item.name)
+def _jobs(recipe: Recipe, rows: Sequence[Row], labels: Labels | None) -> Iterator[Job]:
+    frames = frames_of(rows)
+    for row in rows:
+        place = row.name if labels is None else labels.place(row.name)
+        labels_of_row = None if labels is None else labels.only(row.name)
         stem, end = splitext(place)
         for variant in range(recipe.variants):
             number = f"_{variant + 1}" if recipe.variants > 1 else ""
-            yield Job(item, f"{stem}{number}{end}", variant, labels_of_item, frames.get(item))
+            yield Job(row, f"{stem}{number}{end}", variant, labels_of_row, frames.get(row.name))

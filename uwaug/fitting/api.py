@@ -25,6 +25,7 @@ from uwaug.fitting.model import COLOURS, EXPONENTS, MODELS, NARROW_PX, Coefficie
 from uwaug.fitting.result import Fit, Parameter
 from uwaug.fitting.solve import Objective, multistart, reweighed, roughly_weighed, solve
 from uwaug.fitting.words import straight_line
+from uwaug.formation.setting import Setting
 
 Progress = Callable[[str], None]
 _PIXEL_COUNTS = (500, 100_000)  # least and most pixels of a fit
@@ -128,7 +129,8 @@ def fit(
             first += encoded_haze_notes(winner, gain == "free", seed)
         best = winner.model
         medium = best.medium(best.coefficients(winner.solution.theta))
-        result = result_of(winner, candidates, best.spec.name, medium, pictures)
+        setting = Setting(medium, color_space=color_space)
+        result = result_of(winner, candidates, best.spec.name, setting, pictures)
     return replace(result, notes=(*first, *result.notes, *_doubts(winner, result.parameters)))
 
 

@@ -14,7 +14,7 @@ from uwaug.fitting.errors import covariance_of, parameters, remainder
 from uwaug.fitting.result import Candidate, Fit
 from uwaug.fitting.solve import M, Objective, Solution, loss, solve
 from uwaug.fitting.words import left_over, unknown
-from uwaug.optics.medium import Medium
+from uwaug.formation.setting import Setting
 
 _FOLDS = 5
 _CHANCE_LOSS = 2.0  # summed loss that a number gains by chance
@@ -72,15 +72,15 @@ def result_of(
     winner: FittedModel[M],
     candidates: Sequence[FittedModel[M]],
     name: str,
-    medium: Medium,
+    setting: Setting,
     pictures: Pictures,
 ) -> Fit:
     """The public result: numbers and errors of the winner, and the notes that all fits share."""
     objective, solution = winner.objective, winner.solution
     # the fit may take what the file has lost for a blur: with and without one
-    media = medium, replace(medium, scale=0 * medium.scale)
-    lost = [x for x in (pictures.lost(pictures.rendered(m)) for m in media) if x is not None]
-    covariance = covariance_of(objective, solution, lost)
+    sharp = replace(setting, medium=replace(setting.medium, scale=0 * setting.medium.scale))
+    lost = [pictures.lost(pictures.rendered(each)) for each in (setting, sharp)]
+    covariance = covariance_of(objective, solution, [x for x in lost if x is not None])
     numbers, matrix = parameters(winner.model, solution, covariance)
     rest, best, rows = remainder(objective, solution.theta), best_of(candidates), []
     doubts = left_over(rest, covariance.design_effect, winner.rms)
@@ -94,14 +94,13 @@ def result_of(
         model=name,
         parameters=numbers,
         covariance=matrix,
-        medium=medium,
+        setting=setting,
         geometry=pictures.geometry,
         rms=winner.rms,
         notes=(*doubts, *unknown(numbers)),
         candidates=tuple(rows),
         remainder=tuple(rest),
         adequate=not doubts,
-        color_space=pictures.color_space,
         pictures=pictures,
     )
 

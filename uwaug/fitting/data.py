@@ -5,9 +5,11 @@ Any width law is a mixture of these blurs. They do not depend on the water, so t
 
 import io
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -22,9 +24,9 @@ from uwaug._support.types import Array, ColorSpace, Shape
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.formation.colour import decoded, encoded, require_values
-from uwaug.formation.image import form_image
+from uwaug.formation.image import form
+from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
-from uwaug.optics.medium import Medium
 
 Places = NDArray[np.int64]
 
@@ -35,9 +37,8 @@ _SAME_PICTURE = 2e-3  # mean difference, as a share of the light, below which tw
 _CLIPPED_LIGHT = 0.98  # linear light of the clean picture, 253 of 255: it may have been brighter
 _LEVEL_ROUNDING = 1e-3  # of a level of 8 bits, up to which a value is one
 _BLUR_TOLERANCE = 2e-4  # error of the blurs, below which no residual can fall
-# Widest blur, as a share of the picture's short side. The calibrated law reaches it in a 60° view
-# after ten scattering lengths, where no light is left.
-_WIDEST_BLUR = 1 / 5
+_WIDEST_BLUR = 1 / 5  # widest blur of a fitted width law, as a share of the picture's short side
+_JPEG_TABLE_SUM = 3688  # of the standard's table for luminance, which is quality 50
 _BINS = 20  # equal steps of distance, from each of which as many pixels are taken
 _NEAR_QUANTILE, _FAR_QUANTILE = 0.05, 0.95  # of the finite distances: the ends of their range
 
@@ -128,9 +129,11 @@ class Pictures:
         size = (self.z.shape[-2], self.z.shape[-1])
         return Geometry(nearest, reference, farthest, size, min(size) * _WIDEST_BLUR)
 
-    def sample(self, shapes: Sequence[Shape], count: int, seed: int) -> "Pixels":
+    def sample(
+        self, shapes: Sequence[Shape], count: int, seed: int, widest: float | None = None
+    ) -> "Pixels":
         """Draw at most `count` pixels of all pictures together, spread evenly over their distances,
-        with the blurs of `shapes` there.
+        with the blurs of `shapes` there, up to a width (px) or else the geometry's.
         """
         rng = np.random.default_rng(seed)
         share = max(1, count // len(self.z))
@@ -145,7 +148,7 @@ class Pictures:
             return torch.cat(rows, 1)[None, :, None]
 
         stacks = {}
-        widest, side = self.geometry.widest, max(self.geometry.size)
+        widest, side = widest or self.geometry.widest, max(self.geometry.size)
         for shape in shapes:
             plan = plan_blur(0.0, widest, _BLUR_TOLERANCE, shape, side)
             blurs = [at_places(x).double() for x in blurred(self.clean.float(), plan)]
@@ -162,10 +165,11 @@ class Pictures:
             size=self.geometry.size,
         )
 
-    def rendered(self, medium: Medium) -> Tensor:
-        """The observed pictures (Bx3xHxW, linear light) as a water makes them of the clean."""
-        clean, z = self.clean.float(), self.z.float()
-        return form_image(clean.expand(len(z), -1, -1, -1), z, medium).image
+    def rendered(self, setting: Setting) -> Tensor:
+        """The observed pictures (Bx3xHxW, linear light) as a setting makes them of the clean."""
+        clean, z = self.clean.float().expand(len(self.z), -1, -1, -1), self.z.float()
+        with torch.no_grad():
+            return form(clean, z, replace(setting, color_space="linear"))
 
     def lost(self, light: Tensor) -> Tensor | None:
         """What pictures (Bx3xHxW, linear light) lose when they are stored as the observed were: by
@@ -256,15 +260,26 @@ def blocks_of(places: Sequence[Places], size: tuple[int, int]) -> Places:
     return np.unique(np.concatenate(numbers), return_inverse=True)[1]
 
 
+def jpeg_quality(path: str | os.PathLike[str]) -> int | None:
+    """Quality of a JPEG file by its table for luminance, 1…100; None of other files."""
+    if Path(path).suffix.lower() not in (".jpg", ".jpeg"):
+        return None
+    with Image.open(path) as image:
+        table = getattr(image, "quantization", {}).get(0)
+    if not table:
+        return None
+    percent = 100 * sum(table) / _JPEG_TABLE_SUM
+    quality = (200 - percent) / 2 if percent <= 100 else 5000 / percent
+    return int(min(max(round(quality), 1), 100))
+
+
 def _through_jpeg(values: Tensor, quality: int) -> Tensor:
-    """A picture (3xHxW, uint8) from a JPEG file of that quality."""
     file = io.BytesIO()
     Image.fromarray(values.permute(1, 2, 0).numpy()).save(file, "JPEG", quality=quality)
     return torch.from_numpy(np.array(Image.open(file))).permute(2, 0, 1)
 
 
 def _light(picture: Tensor, color_space: ColorSpace, name: str) -> Tensor:
-    """The checked picture in linear light, float64."""
     picture = picture.detach().cpu()
     require_values(picture, color_space, name)
     return decoded(picture, color_space).double()

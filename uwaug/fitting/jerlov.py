@@ -19,6 +19,7 @@ from uwaug.fitting.data import Geometry, Pictures, Pixels
 from uwaug.fitting.model import MAX_GAIN, MAX_OPTICAL_DEPTH, Bounds, Model, Quantity
 from uwaug.fitting.result import Fit
 from uwaug.fitting.solve import Objective, loss, reweighed, roughly_weighed, solve
+from uwaug.formation.setting import Setting
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
 from uwaug.optics.medium import Medium
@@ -36,6 +37,10 @@ _MAX_VERTICAL_DEPTH = 30.0  # m; below, little is left of any light but blue
 # Multiples of a type's contents, from pure water to clear types within the tables' error.
 _MIN_CONTENTS, _MAX_CONTENTS = 1e-3, 1e3
 _FAR_CONTENTS = 3.0  # times those of a type, which make a sentence
+# Scattering lengths up to whose width of a known law there are blurs: little light is left there.
+# With blurs up to a fifth of the short side alone, no picture of 25° was that of its type.
+_MOST_LENGTHS = 20.0
+_WIDEST_SIDES = 3.0  # widest blur, in longest sides: wider ones all give the mean
 _RESULT_TOLERANCE = 0.002  # of the medium of a result
 # Linear light. Media and blurs of the default tolerance are off by .0007 RMS, and half of a step
 # of 8 bits is .002: of each colour about so much is alike everywhere.
@@ -201,7 +206,9 @@ def fit_water(
     # a medium that is made in inference mode could not be trained
     with one_thread(), torch.inference_mode(False), torch.no_grad():
         say("blurring the clean picture")
-        sample = roughly_weighed(pictures.sample([law.shape], int(pixels), seed))
+        widest = law.scale * _MOST_LENGTHS**law.exponent * law.law.pixels(geometry.size, view)
+        widest = min(widest, _WIDEST_SIDES * max(geometry.size))
+        sample = roughly_weighed(pictures.sample([law.shape], int(pixels), seed, widest))
         subset = sample.subsample(_START_PIXELS, seed)
         scouts = []
         for model in models:
@@ -221,7 +228,8 @@ def fit_water(
         winner = candidates[0]
         model, theta = winner.model, winner.solution.theta
         medium = model.medium(theta, _RESULT_TOLERANCE)
-        result = result_of(winner, candidates, model.name, medium, pictures)
+        setting = Setting(medium, view=view, color_space=color_space)
+        result = result_of(winner, candidates, model.name, setting, pictures)
     return replace(
         result,
         model=model.water.name if result.adequate else "no Jerlov type",
@@ -232,7 +240,10 @@ def fit_water(
 
 def _notes(result: Fit, model: TypeModel) -> list[str]:
     """Sentences on the type, or on what is known where none explains the picture."""
-    given = f"Camera, g, μ, {model.surfaces} surfaces and a linear camera are taken for known."
+    view = f"a view {model.view.angle(model.geometry.size[1]):.3g}° wide (--view, --focal-px)"
+    given = (
+        f"Camera, g, μ, {view}, {model.surfaces} surfaces and a linear camera are taken for known."
+    )
     residual = f"The residual is {result.rms:.2g} RMS of linear light. {given}"
     if result.adequate:
         equals = [x.name for x in result.candidates[1:] if x.behind <= x.behind_error]

@@ -243,8 +243,8 @@ class CoefficientModel(Model):
             signal, veil = np.concatenate([signal, none], 1), np.concatenate([none, veil], 1)
             note = "fitted: direct light and veil, no forward scatter"
         arrays = {"beta": beta, "direct_weights": direct, "G": rates}
-        arrays |= {"signal_weights": signal, "veil_weights": veil}
-        return Medium.of_arrays(arrays, b, law, note)
+        arrays |= {"signal_weights": signal, "veil_weights": veil, "b_mean": np.array(b)}
+        return Medium.of_arrays(arrays, note, law)
 
     def picture(self, c: Coefficients, pixels: Pixels) -> Tensor:
         """Pixels (1x3x1xN) in linear light."""

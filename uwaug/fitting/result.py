@@ -12,8 +12,9 @@ from torch import Tensor
 
 from uwaug._support import checks, codec
 from uwaug._support.atomic import require_regular, written_whole
-from uwaug._support.types import Array, ColorSpace
+from uwaug._support.types import Array
 from uwaug.fitting.data import Geometry, Pictures
+from uwaug.formation.setting import Setting
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.medium import Medium
 from uwaug.optics.water import Water
@@ -77,8 +78,8 @@ class Fit:
         parameters: each number by name.
         covariance: covariance of all `parameters`, in their order; of no use where one is not
             identified.
-        medium: the water, exposure included: a batch of one, float64. `uwaug.Underwater` of it
-            makes the observed picture of the clean one.
+        setting: the water (exposure included, a batch of one, float64), and the view and color
+            space of the pictures: `module` makes the observed picture of the clean one by it.
         geometry: distances [m] and size [px] of the pictures.
         rms: root mean square of the residual, in linear light.
         notes: sentences on the result, and on what the pictures cannot tell.
@@ -87,14 +88,13 @@ class Fit:
         adequate: True if the residuals are noise; False if the model misses something; None by
             `fit_veil`.
         water: spectra with the fitted contents, for `uwaug.RandomUnderwater`; by `fit_water` alone.
-        color_space: colour space of the pictures, and of those that `module` takes.
         pictures: the fitted pictures; None if the fit was read from a file.
     """
 
     model: str
     parameters: dict[str, Parameter]
     covariance: Array
-    medium: Medium
+    setting: Setting
     geometry: Geometry
     rms: float
     notes: tuple[str, ...]
@@ -102,8 +102,12 @@ class Fit:
     remainder: tuple[Remainder, ...] = ()
     adequate: bool | None = None
     water: Water | None = None
-    color_space: ColorSpace = "srgb"
     pictures: Pictures | None = field(default=None, metadata={"stored": False})
+
+    @property
+    def medium(self) -> Medium:
+        """The water of `setting`."""
+        return self.setting.medium
 
     @property
     def errors(self) -> dict[str, float]:
@@ -111,17 +115,17 @@ class Fit:
         return {name: x.error for name, x in self.parameters.items() if x.error is not None}
 
     def module(self, sides: tuple[int, int] | None = None) -> Underwater:
-        """The water as a module for distances from .2 times the median of the fitted ones to 1.5
+        """The setting as a module for distances from .2 times the median of the fitted ones to 1.5
         times the farthest; `sides` as of `uwaug.Underwater`.
         """
         low, high = _NEAR_SHARE * self.geometry.reference, _FAR_SHARE * self.geometry.farthest
-        return Underwater(self.medium, (low, high), color_space=self.color_space, sides=sides)
+        return Underwater.of(self.setting, (low, high), sides=sides)
 
     def rendered(self) -> Tensor:
         """The observed pictures (Bx3xHxW, linear light) as the water makes them of the clean."""
         if self.pictures is None or not self.pictures.clean.any():
             raise ValueError("the fit has no clean pictures: fit them again to see these")
-        return self.pictures.rendered(self.medium)
+        return self.pictures.rendered(self.setting)
 
     def summary(self) -> str:
         """The result as text: notes, parameters, candidates, residuals by distance."""

@@ -17,6 +17,7 @@ from uwaug.fitting.result import Fit
 from uwaug.fitting.solve import ROBUST, Objective, guess, solve
 from uwaug.fitting.words import THIN_OPTICAL_DEPTH, straight_line, unknown
 from uwaug.formation.colour import LUMINANCE
+from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
 
 _NEAR_QUANTILE, _FAR_QUANTILE = 0.005, 0.995  # of the finite distances: the ends of the bins
@@ -150,11 +151,10 @@ def fit_veil(
         model="darkest pixels",
         parameters=numbers,
         covariance=covariance,
-        medium=medium,
+        setting=Setting(medium, color_space=color_space),
         geometry=pictures.geometry,
         rms=rms,
         notes=(*notes, *unknown(numbers)),
-        color_space=color_space,
         pictures=pictures,
     )
 

@@ -87,7 +87,6 @@ def summary(fit: Fit) -> str:
 
 
 def _meaning(fit: Fit, name: str) -> str:
-    """Unit and meaning of a number, and its state if that is "at bound" or "fixed"."""
     number, kind, geometry = fit.parameters[name], name.partition("_")[0], fit.geometry
     meaning = _MEANINGS.get(kind, "")
     if kind == "width":
@@ -102,7 +101,6 @@ def _meaning(fit: Fit, name: str) -> str:
 
 
 def _interval(number: Parameter) -> str:
-    """Both ends, to as many digits as tell them apart."""
     if number.low is None or number.high is None:
         return ""
     for digits in range(4, _MAX_DIGITS):
@@ -113,7 +111,6 @@ def _interval(number: Parameter) -> str:
 
 
 def _aligned(rows: list[list[str]]) -> list[str]:
-    """Lines of a table below an empty line: words to the left, numbers to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [""]
     for first, *numbers, last in rows:

@@ -8,6 +8,7 @@ from uwaug.formation.field import gaussian_random_field
 from uwaug.formation.image import Terms, form_image
 from uwaug.formation.learnable import LearnableMedium
 from uwaug.formation.sensor import Sensor
+from uwaug.formation.setting import Setting
 from uwaug.formation.underwater import Underwater
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "Development",
     "LearnableMedium",
     "Sensor",
+    "Setting",
     "Terms",
     "Underwater",
     "blur_demand",

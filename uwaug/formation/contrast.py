@@ -22,6 +22,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
+from uwaug.formation.inputs import agree
 from uwaug.formation.setting import Setting
 from uwaug.light import Light
 from uwaug.light.snow import snowing
@@ -70,19 +71,11 @@ def contrast_left(
         >>> contrast_left(torch.tensor([[[0.0, 1.0, 3.0, torch.inf]]]), medium).round(decimals=2)
         tensor([[[1.0000, 0.2300, 0.0200, 0.0000]]])
     """
-    checks.instance("medium", medium, Medium, "; see Medium.from_water")
+    agree(medium, light, distance=distance, metres=metres)
     maps = {"distance": distance} if metres is None else {"distance": distance, "metres": metres}
-    for name, value in maps.items():
-        checks.floating(name, value)
-        checks.picture(name, value, 1)
-        checks.same_size(name, value, distance)
-        if not torch.compiler.is_compiling():
+    if not torch.compiler.is_compiling():
+        for name, value in maps.items():
             checks.distances(name, value)
-    sizes = {"medium": len(medium), "distance": len(distance) if distance.ndim == 4 else 1}
-    if light is not None:
-        checks.instance("light", light, Light)
-        sizes["pitch"] = light.pitch.numel() if isinstance(light.pitch, Tensor) else 1
-    checks.batches(sizes)
     with checks.full_precision(distance):
         dtype = torch.promote_types(distance.dtype, torch.float32)
         z, *unscaled = (

@@ -111,6 +111,7 @@ def blur_demand(
         learned: True to plan for gradients to the medium: finer, and even if no blur shows now.
         margin: factor by which the range of widths is widened either way.
     """
+    checks.tolerance(tolerance)
     learns_width = learned and checks.records(medium.scale, medium.exponent)
     demand = demand_of(medium.weights(), medium.law, distance_range, tolerance, view, learned)
     is_learned = learns_width or (learned and demand.high > 0)
@@ -126,8 +127,7 @@ def demand_of(
     view: View = WIDE,
     learned: bool = False,
 ) -> BlurDemand:
-    """`blur_demand` of a medium as arrays, before a camera."""
-    checks.tolerance(tolerance)
+    """`blur_demand` of a medium as arrays, before a camera. Nothing is checked."""
     near, far = max(distance_range[0], 0.0), min(distance_range[1], FARTHEST)
     first, last, strength = _scattered(*weights[:4], near, far, tolerance, learned)
     if strength == 0:

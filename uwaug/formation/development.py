@@ -30,8 +30,9 @@ from uwaug._support.compiled import compiled
 from uwaug._support.types import Array
 from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.sensor import Sensor
-from uwaug.optics.curves import Curves, raised
+from uwaug.optics.curves import Curves
 from uwaug.optics.medium import Medium
+from uwaug.optics.point_spread import raised
 
 MID_GREY = 0.18  # linear light that a change of contrast leaves as it is
 GAINS = (1 / 8, 64.0)  # of a metered exposure, −3 to +6 stops: from ISO 100 to 6400 are 6
@@ -110,6 +111,8 @@ class Development:
                 raise ValueError("development: exposure 'auto' is metered, got metered=False")
             object.__setattr__(self, "exposure", 0.0)
             object.__setattr__(self, "metered", True)
+        if self.metered is not None:
+            checks.truth("development: metered", self.metered)
         if self.noise is not None:
             checks.instance("development: noise", self.noise, Sensor)
             self.noise.require_fixed("development: noise")
@@ -204,7 +207,6 @@ class Development:
 
 
 def _balances(share: float | Tensor) -> bool:
-    """True if a white balance may change a picture; the values of a tensor are not looked at."""
     return isinstance(share, Tensor) or share > 0
 
 

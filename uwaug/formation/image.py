@@ -118,7 +118,6 @@ def _in_bands(medium: Medium, function: Callable[..., Tensor], *images: Tensor) 
 
 
 def _nothing(image: Tensor, z: Tensor) -> Tensor:
-    """An empty picture, for an empty batch or images without pixels."""
     return image.expand(max(len(image), len(z)) if len(image) and len(z) else 0, -1, -1, -1)
 
 

@@ -1,6 +1,7 @@
 """Checks of the inputs of image formation."""
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -25,21 +26,7 @@ def validate(
     view: View = WIDE,
 ) -> None:
     """Refuse inputs of a wrong type, shape, batch, device or value."""
-    checks.instance("medium", medium, Medium, "; see Medium.from_water")
-    if light is not None:
-        checks.instance("light", light, Light)
-    maps = {"distance": distance} if field is None else {"distance": distance, "field": field}
-    sizes = {"medium": len(medium)}
-    if light is not None and isinstance(light.pitch, Tensor):
-        sizes["pitch"] = light.pitch.numel()
-    for name, value in {"image": image, **maps}.items():
-        if not (name == "image" and isinstance(image, Tensor) and image.dtype == torch.uint8):
-            checks.floating(name, value)
-        checks.picture(name, value, 3 if name == "image" else 1)
-        checks.same_size(name, value, image)
-        checks.same_device(name, value, image)
-        sizes[name] = len(value) if value.ndim == 4 else 1
-    checks.batches(sizes)
+    agree(medium, light, image=image, distance=distance, field=field)
     view.require(image.shape[-1])
     require_values(image, color_space)
     if torch.compiler.is_compiling():
@@ -50,6 +37,27 @@ def validate(
         if not (thinnest >= 0 and densest < math.inf):
             counts = checks.counted(field, "NaN", "negative", "infinite")
             raise ValueError(f"field is {counts}: expected finite values ≥ 0")
+
+
+def agree(medium: Medium, light: Light | None, **images: Any) -> None:
+    """Refuse types, shapes, devices and batches that do not agree: of a medium, a light, an `image`
+    or none, and maps.
+    """
+    checks.instance("medium", medium, Medium, "; see Medium.from_water")
+    sizes, first = {"medium": len(medium)}, next(iter(images.values()))
+    if light is not None:
+        checks.instance("light", light, Light)
+        sizes["pitch"] = light.pitch.numel() if isinstance(light.pitch, Tensor) else 1
+    for name, value in images.items():
+        if value is None:
+            continue
+        if not (name == "image" and isinstance(value, Tensor) and value.dtype == torch.uint8):
+            checks.floating(name, value)
+        checks.picture(name, value, 3 if name == "image" else 1)
+        checks.same_size(name, value, first)
+        checks.same_device(name, value, first)
+        sizes[name] = len(value) if value.ndim == 4 else 1
+    checks.batches(sizes)
 
 
 def effective_distance(distance: Tensor, field: Tensor | None, dtype: torch.dtype) -> Tensor:

@@ -1,7 +1,8 @@
 """A medium inside a module: as buffers, or as parameters for an optimiser."""
 
+import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, Literal, get_args
 
 import torch
@@ -9,9 +10,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from uwaug._support import checks
-from uwaug._support.types import Shape
+from uwaug._support.codec import from_plain, to_plain
 from uwaug.optics.medium import Medium
-from uwaug.optics.point_spread import Law, Unit
+from uwaug.optics.point_spread import Law
+from uwaug.optics.snow import MarineSnow
 
 Part = Literal["rates", "veil", "width"]
 
@@ -20,8 +22,8 @@ _MIN_G = 1e-9  # smallest G, 1/m: the gradient of V(0) = slope/G grows without e
 
 
 class FixedMedium(nn.Module):
-    """A medium whose tensors are buffers, so that it moves and is saved with a module. Its law is
-    saved, too, and a state with another one is refused.
+    """A medium whose tensors are buffers, so that it moves and is saved with a module; its law,
+    notes and snow are saved, too.
     """
 
     def __init__(self, medium: Medium) -> None:
@@ -45,21 +47,32 @@ class FixedMedium(nn.Module):
         super()._load_from_state_dict(state, prefix, *args)
 
     def get_extra_state(self) -> Tensor:
-        """The law as numbers: its places in the lists of shapes and of units."""
-        law = self.start.law
-        places = get_args(Shape).index(law.shape), get_args(Unit).index(law.unit)
-        return torch.tensor(places, dtype=torch.float64)
+        """What of the medium is no tensor: law, notes and snow."""
+        names = (field.name for field in fields(Medium) if field.name not in Medium.TENSORS)
+        return as_tensor({name: getattr(self.start, name) for name in names})
 
     def set_extra_state(self, state: Tensor) -> None:
-        """Refuse the state of another law."""
-        shape, unit = map(int, state.tolist())
-        law = Law(get_args(Shape)[shape], get_args(Unit)[unit])
-        if law != self.start.law:
-            raise ValueError(f"state_dict is of {law}, this module's medium of {self.start.law}")
+        """Take law, notes and snow of a state."""
+        stored: dict[str, Any] = {
+            name: from_plain(value, Law, MarineSnow) for name, value in of_tensor(state).items()
+        }
+        self.start = replace(self.start, **stored)
+
+
+def as_tensor(values: dict[str, Any]) -> Tensor:
+    """Values as the codec writes them, as a tensor of the bytes of their JSON: who averages, casts
+    or writes states takes all entries for tensors of numbers.
+    """
+    return torch.tensor([*json.dumps(to_plain(values)).encode()], dtype=torch.float64)
+
+
+def of_tensor(state: Tensor) -> dict[str, Any]:
+    """Plain values from what `as_tensor` has made of them."""
+    plain: dict[str, Any] = json.loads(bytes(state.round().int().tolist()))
+    return plain
 
 
 def _but_rates(tensor: Tensor) -> torch.Size:
-    """Shape without the number of rates."""
     return tensor.shape[:-1] if tensor.ndim > 1 else tensor.shape
 
 

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import fields, replace
 from operator import index
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -9,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from uwaug._support import checks
+from uwaug._support.codec import from_plain
 from uwaug._support.types import ColorSpace
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.colour import LUMINANCE
@@ -23,7 +25,7 @@ from uwaug.formation.demand import (
 from uwaug.formation.development import GAINS, NEUTRAL, Development
 from uwaug.formation.image import form
 from uwaug.formation.inputs import effective_distance, validate
-from uwaug.formation.learnable import FixedMedium, LearnableMedium, Part
+from uwaug.formation.learnable import FixedMedium, LearnableMedium, Part, as_tensor, of_tensor
 from uwaug.formation.setting import Setting
 from uwaug.light import Light
 from uwaug.optics.medium import Medium
@@ -32,6 +34,7 @@ from uwaug.optics.view import WIDE, View
 _MAX_SHARE_OUTSIDE = 0.01  # of the pixels, beyond the planned range, without a warning
 _WIDTH_MARGIN = 2.0  # factor by which a learned width may leave its start before a new plan
 _RANGE_ROUNDING = 1e-6  # share by which float32 may exceed a range, as with a field
+_OF_SETTING = [field.name for field in fields(Setting) if field.name not in ("medium", "span")]
 # older releases were tried, and do not compile the module
 _COMPILES = tuple(map(int, torch.__version__.split(".")[:2])) >= (2, 13)
 
@@ -59,9 +62,9 @@ class Underwater(nn.Module):
         light: lamps and direction of daylight, see `uwaug.Light`; None for that of the medium.
         view: of the camera, a `uwaug.View` or its angle in degrees.
 
-    A state (`state_dict`) holds the medium alone; that of another width law is refused. Keep
-    torch's default matmul precision: the error of bfloat16 is visible. `torch.compile` needs torch
-    2.13.
+    A state (`state_dict`) holds the whole `setting`, and the module that loads it takes it all;
+    distance_range, tolerance and sides stay its own. Keep torch's default matmul precision: the
+    error of bfloat16 is visible. `torch.compile` needs torch 2.13.
 
     Shapes:
         image (Bx3xHxW or 3xHxW; uint8 0…255, or floating point 0…1), distance (Bx1xHxW or 1xHxW,
@@ -115,6 +118,30 @@ class Underwater(nn.Module):
         self._plan_anew()
         self.register_load_state_dict_post_hook(Underwater._plan_anew)  # type: ignore[no-untyped-call]
 
+    @staticmethod
+    def of(
+        setting: Setting,
+        distance_range: tuple[float, float] | None = (0.1, 20.0),
+        tolerance: float = 0.002,
+        sides: tuple[int, int] | None = None,
+    ) -> "Underwater":
+        """The module of a setting; further arguments as of the class."""
+        return Underwater(
+            setting.medium,
+            distance_range,
+            tolerance,
+            setting.color_space,
+            sides=sides,
+            development=setting.development,
+            light=setting.light,
+            view=setting.view,
+        )
+
+    @property
+    def setting(self) -> Setting:
+        """Water, light and camera of the module."""
+        return Setting(self.medium, **{name: getattr(self, name) for name in _OF_SETTING})
+
     @property
     def medium(self) -> Medium:
         """The medium; if learnable, of tensors that carry gradients to the parameters."""
@@ -147,21 +174,22 @@ class Underwater(nn.Module):
         """Degrade an image."""
         if torch.compiler.is_compiling() and not _COMPILES:
             raise RuntimeError("torch.compile of Underwater needs torch 2.13 or newer")
-        medium = self.medium
+        setting = self.setting
+        medium, light = setting.medium, setting.light
         validate(
             image,
             distance,
             medium,
             field,
-            color_space=self.color_space,
-            light=self.light,
-            view=self.view,
+            color_space=setting.color_space,
+            light=light,
+            view=setting.view,
         )
         dtype = torch.promote_types(image.dtype, torch.float32)
         with checks.full_precision(image):
             z = effective_distance(distance, field, dtype)
             metres = None
-            if field is not None and (self.light is not None or medium.snow):
+            if field is not None and (light is not None or medium.snow):
                 metres = effective_distance(distance, None, dtype).expand_as(z)
             if not torch.compiler.is_compiling():
                 self._keep_up(medium)
@@ -169,16 +197,26 @@ class Underwater(nn.Module):
             result = form(
                 image if image.ndim == 4 else image[None],
                 z,
-                self.setting(medium.to(dtype=dtype, device=image.device)),
+                replace(setting, medium=medium.to(dtype=dtype, device=image.device)),
                 metres=metres,
                 plan=self.plan((image.shape[-2], image.shape[-1])),
                 tolerance=self.tolerance,
             )
         return result[0] if image.ndim == 3 and len(result) == 1 else result
 
-    def setting(self, medium: Medium) -> Setting:
-        """Water, light and camera of the module, for `medium` in place of its own."""
-        return Setting(medium, self.light, self.development, self.view, self.color_space)
+    def get_extra_state(self) -> Tensor:
+        """The setting but for its medium, which `coefficients` hold."""
+        return as_tensor({name: getattr(self, name) for name in _OF_SETTING})
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Take the setting of a state. A pitch that may learn stays the tensor that it is."""
+        pitch = self.light and self.light.pitch
+        setting: Setting = from_plain({**of_tensor(state), "medium": self.medium}, Setting)
+        for name in _OF_SETTING:
+            setattr(self, name, getattr(setting, name))
+        if self.light and isinstance(pitch, Tensor) and isinstance(self.light.pitch, Tensor):
+            with torch.no_grad():
+                self.light = replace(self.light, pitch=pitch.copy_(self.light.pitch))
 
     def _warn_outside(self, z: Tensor) -> None:
         """Warn, once, of pixels outside of the planned range; open water does not count."""
@@ -218,9 +256,10 @@ class Underwater(nn.Module):
 
     def _demand_of(self, medium: Medium, margin: float = 1.0) -> BlurDemand:
         assert self.distance_range is not None
-        medium = medium if self.light is None else self.light.planned(medium)
-        gain = medium.beta.new_full((1,), self.development.brightening)
-        if self.development.metered:
+        light, development = self.light, self.development
+        medium = medium if light is None else light.planned(medium)
+        gain = medium.beta.new_full((1,), development.brightening)
+        if development.metered:
             # without a picture, the meter is taken to make up for the light lost above the scene
             ambient = medium.ambient().detach()
             luminance = (ambient * ambient.new_tensor(LUMINANCE)).sum(-1)
@@ -243,7 +282,8 @@ class Underwater(nn.Module):
             if self.sides is not None:
                 at = "for short sides of {}…{} px".format(*self.sides)
             blur = f"{near:g}…{far:g} m, {self.plan((512, 512))} {at}"
-        pairs = (self.development, NEUTRAL), (self.light, None), (self.view, WIDE)
+        setting = self.setting
+        pairs = (setting.development, NEUTRAL), (setting.light, None), (setting.view, WIDE)
         options = "".join(f", {value!r}" for value, default in pairs if value != default)
-        settings = f"tolerance={self.tolerance:g}, {self.color_space}{options}"
-        return f"{self.medium!r},\n{blur},\n{settings}"
+        settings = f"tolerance={self.tolerance:g}, {setting.color_space}{options}"
+        return f"{setting.medium!r},\n{blur},\n{settings}"

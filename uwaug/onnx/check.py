@@ -13,6 +13,7 @@ from uwaug._support.onnx_session import Session
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.image import form
 from uwaug.formation.inputs import effective_distance
+from uwaug.formation.setting import Setting
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
 from uwaug.onnx.run import coefficients_of, module_of, read_metadata
@@ -65,10 +66,11 @@ def check_onnx(
     if module is None:
         module = module_of(path, metadata)
     takes_coefficients = metadata["uwaug_coefficients"] == "inputs"
-    media = [module.medium[i] for i in range(len(module.medium))]
+    own = module.setting
+    media = [own.medium[i] for i in range(len(own.medium))]
     if takes_coefficients:
-        media += _unrelated_media(module.medium)
-    limit = _TOLERANCE * max(module.development.brightening, 1.0)
+        media += _unrelated_media(own.medium)
+    limit = _TOLERANCE * max(own.development.brightening, 1.0)
     sessions = {"off": Session(path, 1, optimise=False), "on": Session(path, 1)}
     differences: list[tuple[float, str]] = []
     change = 0.0
@@ -80,21 +82,18 @@ def check_onnx(
         in_turn = [media[(number + i) % len(media)] for i in range(len(image))]
         medium = media[0] if len(media) == 1 else Medium.stack(in_turn)
         inputs = {"image": image, "distance": distance}
-        if module.development.noise is not None:
+        if own.development.noise is not None:
             seeded = torch.Generator().manual_seed(number)
             inputs["noise"] = torch.randn(image.shape, generator=seeded, dtype=torch.float32)
-        light = module.light
+        light = own.light
         if light is not None and takes_coefficients:
             light = _varied(light, number, len(image))
-        exact = _exact(module, inputs, medium, light)
+        exact = _exact(replace(own, medium=medium, light=light), plan_of(module), inputs)
         change = max(change, float((exact - image).abs().max()))
         # a near lamp goes far beyond white, where single precision has digits less
         brightest = max(1.0, float(exact.max())) if light is not None and light.lamps else 1.0
         if takes_coefficients:
-            batch = medium.expand(len(image))
-            inputs |= {
-                name: torch.from_numpy(x) for name, x in coefficients_of(batch, light).items()
-            }
+            inputs |= coefficients_of(medium.expand(len(image)), light)
         for state, session in sessions.items():
             name = f"{case}, optimisations {state}"
             off = _difference(path, session, inputs, exact, name)
@@ -125,16 +124,14 @@ def _varied(light: Light, number: int, batch: int) -> Light:
     return replace(light, lamps=lamps, pitch=pitch)
 
 
-def _exact(
-    module: Underwater, inputs: dict[str, Tensor], medium: Medium, light: Light | None
-) -> Tensor:
+def _exact(setting: Setting, plan: BlurPlan, inputs: dict[str, Tensor]) -> Tensor:
     normals = inputs.get("noise")
     with torch.no_grad():
         return form(
             inputs["image"].double(),
             effective_distance(inputs["distance"], None, torch.float64),
-            replace(module.setting(medium.to(torch.float64)), light=light),
-            plan=plan_of(module),
+            replace(setting, medium=setting.medium.to(torch.float64)),
+            plan=plan,
             normals=None if normals is None else normals.double(),
         )
 

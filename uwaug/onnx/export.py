@@ -23,8 +23,9 @@ from uwaug._support.extras import require
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.demand import SIDES
 from uwaug.formation.image import form
+from uwaug.formation.setting import Setting
 from uwaug.formation.underwater import Underwater
-from uwaug.light import Lamp, Light
+from uwaug.light import Lamp
 from uwaug.onnx.blurs import Blurs
 from uwaug.onnx.check import check_onnx, plan_of
 from uwaug.onnx.run import arguments_of, coefficients_of, described
@@ -125,17 +126,19 @@ class _TracedLamp(Lamp):
         return weights * self.light[..., None]
 
 
-def _traced_light(light: Light | None, sent: Tensor | None, pitch: Tensor | None) -> Light | None:
-    """Light in a graph, of which the light of each lamp (BxPx3) and the pitch (B) are tensors."""
-    if light is None:
-        return None
+def _traced(setting: Setting, numbers: dict[str, Tensor]) -> Setting:
+    """A setting in a graph, whose numbers by the names of `coefficients_of` are tensors."""
+    of_medium: dict[str, Any] = {n: x for n, x in numbers.items() if n in Medium.TENSORS}
+    medium = _Traced(**of_medium, law=setting.medium.law)
+    if setting.light is None:
+        return replace(setting, medium=medium)
     lamps = tuple(
-        _TracedLamp(**{**vars(lamp), "light": None if sent is None else sent[:, place]})
-        for place, lamp in enumerate(light.lamps)
+        _TracedLamp(**vars(lamp), light=numbers["lamp_light"][:, place])
+        for place, lamp in enumerate(setting.light.lamps)
     )
-    traced = copy(light)  # without checks, which look at values
-    vars(traced).update(lamps=lamps, pitch=pitch)
-    return traced
+    light = copy(setting.light)  # without checks, which look at values
+    vars(light).update(lamps=lamps, pitch=numbers.get("pitch"))
+    return replace(setting, medium=medium, light=light)
 
 
 class Graph(nn.Module):
@@ -144,11 +147,8 @@ class Graph(nn.Module):
     def __init__(self, module: Underwater, plan: BlurPlan) -> None:
         super().__init__()
         self.plan, self.blur = plan, Blurs(plan)
-        self.setting = module.setting(module.medium)
-        numbers = coefficients_of(module.medium, module.light).items()
-        self.coefficients = {name: torch.from_numpy(row) for name, row in numbers}
-        tensors = module.medium.named_tensors().items()
-        self.constants = {n: t.detach().to("cpu", torch.float32) for n, t in tensors}
+        self.setting = module.setting
+        self.coefficients = coefficients_of(self.setting.medium, self.setting.light)
 
     def forward(self, *values: Tensor) -> Tensor:
         """Form a picture from image, distance, noise if there is a sensor, and coefficients if they
@@ -158,16 +158,11 @@ class Graph(nn.Module):
         normals = None
         if self.setting.development.noise is not None:
             normals, *inputs = inputs
-        named: dict[str, Any] = {**self.constants, **self.coefficients}
-        if inputs:
-            named = dict(zip(self.coefficients, inputs, strict=True))
-        sent, pitch = named.pop("lamp_light", None), named.pop("pitch", None)
-        light = _traced_light(self.setting.light, sent, pitch)
-        medium = _Traced(**named, law=self.setting.medium.law)
+        numbers = dict(zip(self.coefficients, inputs, strict=True)) if inputs else self.coefficients
         return form(
             image,
             distance.clamp(0.0, FARTHEST),
-            replace(self.setting, medium=medium, light=light),
+            _traced(self.setting, numbers),
             plan=self.plan,
             blur=self.blur,
             normals=normals,
@@ -235,7 +230,6 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
 
 
 def _metadata(module: Underwater, plan: BlurPlan, coefficients: bool) -> dict[str, str]:
-    """Metadata of a file; "uwaug_module" holds the arguments of `Underwater`."""
     return {
         "uwaug_version": __version__,
         "uwaug_water": "; ".join(module.medium.notes),

@@ -14,13 +14,12 @@ from uwaug import __version__
 from uwaug._support.codec import from_plain
 from uwaug._support.onnx_session import Session
 from uwaug._support.types import Array
-from uwaug.formation.development import Development
 from uwaug.formation.inputs import validate
+from uwaug.formation.setting import Setting
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.surfaces import as_matrices
-from uwaug.optics.view import View
 
 # Inputs of files: shape, meaning and unit. B pictures, K, L, M and N rates.
 INPUTS = {
@@ -68,43 +67,37 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
     return metadata
 
 
-_MADE = (Medium, Development, Light, View)
-"""Classes of the arguments of a module. The metadata of a stranger's file make nothing else."""
-
-
 def arguments_of(module: Underwater) -> dict[str, Any]:
-    """Arguments of a module by name."""
-    names = ("medium", "distance_range", "tolerance", "color_space", "sides")
-    return {name: getattr(module, name) for name in (*names, "development", "light", "view")}
+    """Arguments of `Underwater.of` by name."""
+    names = ("setting", "distance_range", "tolerance", "sides")
+    return {name: getattr(module, name) for name in names}
 
 
 def module_of(path: str | os.PathLike[str], metadata: dict[str, str]) -> Underwater:
     """Make the module of the file at `path` from its metadata."""
     try:
         arguments = json.loads(metadata["uwaug_module"])
-        return Underwater(**{key: from_plain(x, *_MADE) for key, x in arguments.items()})
+        # metadata of a stranger's file make nothing but a setting
+        return Underwater.of(**{key: from_plain(x, Setting) for key, x in arguments.items()})
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
         cause = f"{type(error).__name__}: {error!s:.200}"
         raise ValueError(f"{path}: its metadata are damaged ({cause})") from error
 
 
-def coefficients_of(medium: Medium, light: Light | None = None) -> dict[str, Array]:
+def coefficients_of(medium: Medium, light: Light | None = None) -> dict[str, Tensor]:
     """Numbers of a medium, and of a light in it, by name, for a file exported with
     `coefficients=True`: float32, a row for each medium.
     """
-    has_lamps = light is not None and bool(light.lamps)
-    tensors = (medium.lamplit() if has_lamps else medium.without_lamps()).named_tensors()
-    tensors = {name: tensor for name, tensor in tensors.items() if 0 not in tensor.shape}
-    if light is not None and light.lamps:
+    light = Light() if light is None else light
+    named = (medium.lamplit() if light.lamps else medium.without_lamps()).named_tensors()
+    rows = {name: tensor for name, tensor in named.items() if 0 not in tensor.shape}
+    if light.lamps:
         sent = torch.tensor([[lamp.power * part for part in lamp.color] for lamp in light.lamps])
-        tensors["lamp_light"] = sent.expand(len(medium), -1, -1)
-    if light is not None and light.pitch is not None:
+        rows["lamp_light"] = sent.expand(len(medium), -1, -1)
+    if light.pitch is not None:
         pitch = torch.as_tensor(light.pitch).reshape(-1)
-        tensors["pitch"] = pitch if len(pitch) > 1 else pitch.expand(len(medium))
-    return {
-        name: np.ascontiguousarray(value.detach().to("cpu", torch.float32).numpy())
-        for name, value in tensors.items()
-    }
+        rows["pitch"] = pitch if len(pitch) > 1 else pitch.expand(len(medium))
+    return {name: row.detach().to("cpu", torch.float32).contiguous() for name, row in rows.items()}
 
 
 def input_rows(media: Mapping[str, Medium], light: Light | None = None) -> dict[str, Any]:
@@ -152,8 +145,8 @@ class OnnxUnderwater:
             light: another pitch, and other powers and colors of the file's lamps; likewise.
         """
         pictures, maps = map(_tensor, (image, distance))
-        module = self.module
-        validate(pictures, maps, medium or module.medium[0], color_space=module.color_space)
+        setting = self.module.setting
+        validate(pictures, maps, medium or setting.medium[0], color_space=setting.color_space)
         of_bytes = pictures.dtype == torch.uint8
         rows = {"image": pictures / 255 if of_bytes else pictures, "distance": maps}
         rows = {name: x.float() if x.ndim == 4 else x[None].float() for name, x in rows.items()}
@@ -164,9 +157,9 @@ class OnnxUnderwater:
         if batch == 0 or not pictures.numel():
             result = torch.zeros(batch, 3, *pictures.shape[-2:])
         else:
-            if module.development.noise is not None:
+            if (sensor := setting.development.noise) is not None:
                 size = (pictures.shape[-2], pictures.shape[-1])
-                rows["noise"] = module.development.noise.normals(batch, size, rows["image"])
+                rows["noise"] = sensor.normals(batch, size, rows["image"])
             result = self.session({n: x.expand(batch, *x.shape[1:]) for n, x in rows.items()})
         if of_bytes:
             result = (result * 255).round().clamp(0, 255).byte()
@@ -183,28 +176,26 @@ class OnnxUnderwater:
             if light is not None:
                 raise ValueError("light: the file takes none: export with coefficients=True")
             return {}
-        if light is not None and _geometry(light) != _geometry(self.module.light):
-            kind = f"lamps of other power and color, and another pitch, in {self.module.light}"
+        own = self.module.setting
+        if light is not None and _geometry(light) != _geometry(own.light):
+            kind = f"lamps of other power and color, and another pitch, in {own.light}"
             raise ValueError(f"light: the file takes {kind}; got {light}")
         if medium.snow:
             raise ValueError("medium has marine snow, which no file can draw: with_snow(None)")
-        law, wanted = medium.law, self.module.medium.law
-        if law != wanted:
-            raise ValueError(f"medium: its law of widths must be {wanted}, got {law}")
+        if medium.law != own.medium.law:
+            raise ValueError(f"medium: its law must be {own.medium.law}, got {medium.law}")
         if not self.module.plans_for(medium):
             cure = "export a module of this water, too: Underwater(Medium.stack(…))"
             raise ValueError(f"medium: its widths lie beyond the plan of the file; {cure}")
-        numbers = coefficients_of(medium, light or self.module.light)
-        rows = {name: torch.from_numpy(x) for name, x in numbers.items()}
-        own = coefficients_of(self.module.medium, self.module.light)
-        if any(rows[name].ndim > own[name].ndim for name in rows):
+        rows = coefficients_of(medium, light or own.light)
+        of_file = coefficients_of(own.medium, own.light)
+        if any(rows[name].ndim > of_file[name].ndim for name in rows):
             raise ValueError("medium must be of grey surfaces, as the file, got some with spectra")
-        mixing = [name for name in rows if rows[name].ndim < own[name].ndim]
+        mixing = [name for name in rows if rows[name].ndim < of_file[name].ndim]
         return rows | {name: as_matrices(rows[name]) for name in mixing}
 
 
 def _geometry(light: Light | None) -> Any:
-    """What of a light is no input of a file."""
     if light is None:
         return None
     lamps = tuple(replace(lamp, power=1.0, color=(1.0, 1.0, 1.0)) for lamp in light.lamps)
@@ -212,5 +203,4 @@ def _geometry(light: Light | None) -> Any:
 
 
 def _tensor(value: Any) -> Any:
-    """Make a tensor of an array; `validate` checks everything else."""
     return torch.from_numpy(value) if isinstance(value, np.ndarray) else value

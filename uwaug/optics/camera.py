@@ -116,7 +116,7 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
 @lru_cache(maxsize=16)
 def response_at(camera: Camera, axis: bytes) -> Array:
     """Weights (3, N) of a camera at wavelengths, given as an array's bytes; rows sum to 1."""
-    return camera.weights(np.frombuffer(axis)).T
+    return np.ascontiguousarray(camera.weights(np.frombuffer(axis)).T)
 
 
 # Smallest share of a channel's response that must lie where the water has spectra. At 400–600 nm it

@@ -127,10 +127,3 @@ def decay(rates: Tensor, z: Tensor) -> Tensor:
     if torch.compiler.is_compiling():
         return torch.exp(-rates * z)  # ONNX has no exp2
     return (rates * -_LOG2E * z).exp2_()  # four times as fast as exp
-
-
-def raised(x: Tensor, exponent: float | Tensor) -> Tensor:
-    """x^exponent, of x > 0."""
-    if torch.compiler.is_compiling():
-        return torch.exp(torch.log(x) * exponent)  # half of ONNX Runtime's time for a power
-    return x**exponent

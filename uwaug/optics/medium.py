@@ -20,9 +20,9 @@ needs 15 to 24 exponentials, shared rates need 4 to 8.)
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from operator import index
-from typing import Any, ClassVar, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 import numpy as np
 import torch
@@ -33,22 +33,13 @@ from uwaug._support import checks
 from uwaug._support.checks import DOMAIN
 from uwaug._support.codec import from_plain, plain
 from uwaug._support.types import Array
-from uwaug.optics.camera import Camera, load_camera, require_covered, response_at
-from uwaug.optics.curves import FARTHEST, Curves, Sums, curves, mix, raised
-from uwaug.optics.point_spread import IN_PIXELS, LENGTHS, Law, PointSpread
-from uwaug.optics.reduction import attenuations, default_bands, reduced, reduced_curves
+from uwaug.optics.camera import Camera, load_camera
+from uwaug.optics.curves import FARTHEST, Curves, Sums, curves, mix
+from uwaug.optics.point_spread import IN_PIXELS, Law, PointSpread, widths
+from uwaug.optics.reduction import reduced
 from uwaug.optics.scattering import Scattering
 from uwaug.optics.snow import MarineSnow
-from uwaug.optics.surfaces import (
-    Surfaces,
-    as_matrices,
-    measure,
-    nine_rows,
-    reflectances,
-    row_of,
-    through_camera,
-    white,
-)
+from uwaug.optics.surfaces import Surfaces, as_matrices, mixed, nine_rows, row_of, white
 from uwaug.optics.view import Size, View
 from uwaug.optics.water import Water, load_water
 from uwaug.optics.weights import Weights
@@ -60,15 +51,20 @@ _MIN_SHARE = 1e-6  # smallest share of a channel's light from which a rate is ta
 # Optical depth below which 1 − e^−x keeps less than 16 of the 24 bits of single precision, and the
 # veil is off by 2e-5 of itself.
 _MIN_DEPTH = 1 / 256
-_BRIGHT_VEIL = 1.05  # V(0) above which the notes say that the veil is brighter than a white plate
 _PIXELS = Law()
-_ABSENT = torch.zeros(())  # one number for all, of which a medium makes a tensor of the right shape
+
+
+def absent(value: float = 0.0) -> Any:
+    """Declare a tensor of a medium that is the same number everywhere unless it is given."""
+    number = torch.tensor(value, device="cpu")
+    return field(default_factory=lambda: number)
 
 
 @plain
 @dataclass(frozen=True, eq=False)
 class Medium:
-    """A batch of B media: rates, weights and a width law. Every tensor may require gradients.
+    """A batch of B media: rates, weights and a width law. Every tensor may require gradients. What
+    `from_water` makes, and a transform draws, are arrays until somebody asks for a tensor.
 
     Attributes:
         beta (BxK tensor): rates of the direct term, 1/m, ≥ 0.
@@ -110,13 +106,13 @@ class Medium:
     signal_weights: Tensor
     veil_weights: Tensor
     b_mean: Tensor
-    scale: Tensor = _ABSENT
-    exponent: Tensor = _ABSENT + 1
-    lamp_beta: Tensor = _ABSENT
-    lamp_direct_weights: Tensor = _ABSENT
-    lamp_G: Tensor = _ABSENT  # noqa: N815
-    lamp_signal_weights: Tensor = _ABSENT
-    lamp_veil_weights: Tensor = _ABSENT
+    scale: Tensor = absent()
+    exponent: Tensor = absent(1.0)
+    lamp_beta: Tensor = absent()
+    lamp_direct_weights: Tensor = absent()
+    lamp_G: Tensor = absent()  # noqa: N815
+    lamp_signal_weights: Tensor = absent()
+    lamp_veil_weights: Tensor = absent()
     law: Law = _PIXELS
     notes: tuple[str, ...] = ()
     snow: tuple[MarineSnow | None, ...] = ()
@@ -135,6 +131,18 @@ class Medium:
             elif tuple(tensor.shape) != shape:
                 got = tuple(tensor.shape)
                 raise ValueError(f"Medium.{name} must have shape {shape}, got {got}")
+
+    if not TYPE_CHECKING:  # a checker would take any name for an attribute
+
+        def __getattr__(self, name: str) -> Any:
+            """Make the tensors of arrays, when somebody asks for the first."""
+            if name not in Medium.TENSORS or "_arrays" not in vars(self):
+                raise AttributeError(f"Medium has no attribute {name!r}")
+            others = {"law": self.law, "notes": self.notes, "snow": self.snow}
+            with torch.inference_mode(False):  # its tensors cannot be used outside
+                tensors = {n: row_of(array) for n, array in self._arrays.items()}
+                vars(self).update(vars(Medium(**tensors, **others)))
+            return vars(self)[name]
 
     @staticmethod
     def of_plain(**values: Any) -> "Medium":
@@ -192,64 +200,25 @@ class Medium:
         if tolerance != 0:
             checks.tolerance(tolerance)
         checks.one_of("surfaces", surfaces, get_args(Surfaces))
+        spectral = surfaces == "spectral"
+        options = vertical_depth, g, mu, color_matrix if spectral else None, tolerance
         law = PointSpread.calibrated() if point_spread is None else point_spread
-        options = (vertical_depth, g, mu, law, surfaces == "spectral", color_matrix, tolerance)
-        return Medium.of_spectra(water, load_camera(camera), *options, lamps=True)
+        return Medium.of_arrays(*reduced(water, load_camera(camera), *options, lamps=True), law)
 
     @staticmethod
-    def of_spectra(
-        water: Water,
-        camera: Camera,
-        vertical_depth: float,
-        g: float,
-        mu: float,
-        law: PointSpread,
-        is_spectral: bool,
-        color_matrix: float,
-        tolerance: float,
-        *,
-        lamps: bool,
-    ) -> "Medium":
-        """As `from_water`, without its checks; for the light of lamps, too, if there are any."""
-        spectra = water.at(default_bands(water))
-        axis, b = spectra.wavelengths, spectra.b
-        require_covered(camera, float(axis[0]), float(axis[-1]))
-        sensor = response_at(camera, axis.tobytes())
-        basis, response = None, sensor
-        if is_spectral:
-            basis = reflectances(axis.tobytes())
-            response, basis = through_camera(sensor, basis, color_matrix, camera.color_matrix)
-        beta, G = attenuations(spectra.a, b, g)
-        light = np.exp(-spectra.kd * vertical_depth)
-        veil = mu * b * light / G
-        arrays, error = reduced(beta, G, light, veil, response, basis, tolerance)
-        note = (
-            f"{water.name}: {len(arrays['beta'])} + {len(arrays['G'])} rates, curves "
-            f"within {error:.1g} at any distance, {vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
-            + (", surfaces = spectral" if is_spectral else "")
-        )
-        brightest = float((response @ veil).max())
-        if brightest > _BRIGHT_VEIL:
-            note += f"; veil of {brightest:.2g} times white"
-        if lamps:
-            # b over its mean is about 1, so that the tolerance is relative to it
-            b_scale = float(b.mean()) or 1.0
-            scatter = response * b / b_scale
-            lit, _ = reduced_curves(beta, G, measure(response, basis), scatter, tolerance)
-            lit["veil_weights"] = b_scale * lit["veil_weights"]
-            arrays |= {f"lamp_{name}": array for name, array in lit.items()}
-        return Medium.of_arrays(arrays, float((sensor @ b).mean()), law, note)
-
-    @staticmethod
-    def of_arrays(arrays: Mapping[str, Array], b: float, law: PointSpread, note: str) -> "Medium":
-        """A medium of one row, which shares the arrays' memory; weights of matrices have 9 rows."""
-        numbers = {"b_mean": b, "scale": law.scale, "exponent": law.exponent}
-        arrays = {**arrays, **{name: np.array(number) for name, number in numbers.items()}}
-        tensors: dict[str, Any] = {name: row_of(array) for name, array in arrays.items()}
-        medium = Medium(**tensors, law=law.law, notes=(note,))
-        if len(arrays["direct_weights"]) == 9:  # else they are no memory of the tensors
-            vars(medium)["_weights"] = Weights(*[arrays[name][None] for name in _OF_WEIGHTS])
+    def of_arrays(arrays: Mapping[str, Array], note: str, law: PointSpread) -> "Medium":
+        """A medium of one row. Tensors, made when somebody asks, share the arrays' memory; weights
+        of matrices have 9 rows.
+        """
+        medium = object.__new__(Medium)
+        width = {"scale": np.array(law.scale), "exponent": np.array(law.exponent)}
+        vars(medium).update(_arrays={**arrays, **width}, law=law.law, notes=(note,), snow=())
         return medium
+
+    @property
+    def is_of_arrays(self) -> bool:
+        """True until somebody asks for a tensor: no values have changed, and none records."""
+        return "beta" not in vars(self)
 
     @staticmethod
     def from_coefficients(
@@ -321,20 +290,27 @@ class Medium:
 
     def with_snow(self, snow: MarineSnow | None) -> "Medium":
         """The same water with particles that a camera sees one by one; None takes them out."""
-        if snow is None:
-            return replace(self, snow=())
-        checks.instance("snow", snow, MarineSnow)
-        snow.require_fixed("snow")
-        return replace(self, snow=(snow,) * len(self))
+        if snow is not None:
+            checks.instance("snow", snow, MarineSnow)
+            snow.require_fixed("snow")
+        medium = object.__new__(type(self))
+        vars(medium).update(vars(self), snow=() if snow is None else (snow,) * len(self))
+        return medium
 
     def with_contents(self, factor: float) -> "Medium":
-        """The same media with `factor` times their loss and scattering in every metre."""
+        """The same media with `factor` times their loss and scattering in every metre; the light
+        that comes down to them stays.
+        """
         checks.within("factor", factor, 0.0)
         rates = ("beta", "G", "b_mean", "lamp_beta", "lamp_G", "lamp_veil_weights")
-        return replace(self, **{name: factor * getattr(self, name) for name in rates})
+        scaled = {name: factor * getattr(self, name) for name in rates}
+        return replace(self, **scaled, notes=self._noted(f"{factor:g} times as much in the water"))
+
+    def _noted(self, change: str) -> tuple[str, ...]:
+        return tuple(f"{note}; {change}" for note in self.notes)
 
     def __len__(self) -> int:
-        return len(self.beta)
+        return self.beta.shape[0] if "beta" in vars(self) else 1
 
     def __getitem__(self, i: int | slice) -> "Medium":
         """The i-th medium as a batch of one, or the media of a slice."""
@@ -373,9 +349,9 @@ class Medium:
 
     def weights(self) -> Weights:
         """The medium as arrays, which share its memory where they can."""
-        reduced: Weights | None = vars(self).get("_weights")
-        if reduced is not None:
-            return reduced
+        if (arrays := vars(self).get("_arrays")) is not None:
+            beta, direct, G, signal, veil, *width = [arrays[name][None] for name in _OF_WEIGHTS]
+            return Weights(beta, nine_rows(direct), G, nine_rows(signal), veil, *width)
         tensors = (getattr(self, name).detach().cpu().double() for name in _OF_WEIGHTS)
         beta, direct, G, signal, veil, *width = (x.contiguous().numpy() for x in tensors)
         direct, signal = (nine_rows(x.reshape(len(x), -1, x.shape[-1])) for x in (direct, signal))
@@ -485,8 +461,9 @@ class Medium:
 
     def without_lamps(self) -> "Medium":
         """The medium without rates of its own under lamps."""
-        absent: dict[str, Any] = {f"lamp_{name}": _ABSENT for name in OF_LAMPS}
-        return replace(self, **absent)
+        none = torch.zeros((), device="cpu")
+        nothing: dict[str, Any] = {f"lamp_{name}": none for name in OF_LAMPS}
+        return replace(self, **nothing)
 
     def lamplit(self) -> "Medium":
         """The medium with rates of its own under lamps."""
@@ -566,11 +543,10 @@ class Medium:
             weights = getattr(wide, name)
             if "C" in axes and gain.ndim == 3:
                 weights = as_matrices(weights) if {"S", "T"} & {*axes} else weights
-                mixed = gain @ weights.reshape(len(weights), 3, -1)
-                gained[name] = mixed.reshape(-1, *weights.shape[1:])
+                gained[name] = mixed(gain, weights)
             elif "C" in axes:
                 gained[name] = gain.reshape(len(gain), -1, *[1] * (weights.ndim - 2)) * weights
-        return replace(wide, **gained)
+        return replace(wide, **gained, notes=wide._noted("brightened"))
 
     def in_pixels(self, size: Size, view: View) -> "Medium":
         """The medium whose widths are px of an image of (height, width) `size`."""
@@ -584,8 +560,7 @@ class Medium:
         b_mean, scale, exponent = (
             getattr(self, name).reshape(-1, 1, 1, 1).to(z) for name in _OF_WIDTHS
         )
-        lengths = (b_mean * z.clamp(max=FARTHEST)).clip(*LENGTHS)
-        width: Tensor = scale * raised(lengths, exponent)
+        width: Tensor = widths(z.clamp(max=FARTHEST), b_mean, scale, exponent)
         return width
 
     @property
@@ -611,7 +586,6 @@ _OF_WEIGHTS = (*OF_LAMPS, *_OF_WIDTHS)
 
 
 def _short(numbers: Tensor) -> str:
-    """The first numbers of a tensor (B), in words."""
     words = [f"{x:.3g}" for x in dict.fromkeys(numbers.detach().tolist())]
     return ", ".join(words[:3] + ["…"] * (len(words) > 3))
 

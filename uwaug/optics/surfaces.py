@@ -13,12 +13,13 @@ let in, and its channels have an integral of 1 as those of S have.
 
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from uwaug._support.compiled import compiled
 from uwaug._support.types import Array
 
 Surfaces = Literal["grey", "spectral"]
@@ -50,8 +51,12 @@ def through_camera(
     """
     M = sensor @ basis.T
     full = _inverse(M.tobytes()) if camera_matrix is None else camera_matrix
-    matrix = _UNIT + share * (full - _UNIT)
-    return matrix @ sensor, np.linalg.inv(matrix @ M).T @ basis
+    return _through_camera(sensor, basis, M, _UNIT + share * (full - _UNIT))
+
+
+@compiled
+def _through_camera(sensor: Array, basis: Array, M: Array, matrix: Array) -> tuple[Array, Array]:
+    return matrix @ sensor, np.ascontiguousarray(np.linalg.inv(matrix @ M).T) @ basis
 
 
 @lru_cache(maxsize=16)
@@ -65,6 +70,11 @@ def _inverse(matrix: bytes) -> Array:
 def measure(response: Array, basis: Array | None) -> Array:
     """Light that reaches the channels: S_c (3, N), or S_c·ρ_j (9, N) of surfaces with spectra."""
     return response if basis is None else (response[:, None] * basis).reshape(9, -1)
+
+
+def mixed(gain: Any, weights: Any) -> Any:
+    """Weights (Bx3x…) of a camera after a matrix (B or 1, 3, 3); arrays or tensors."""
+    return (gain @ weights.reshape(len(weights), 3, -1)).reshape(-1, *weights.shape[1:])
 
 
 def nine_rows(weights: Array) -> Array:

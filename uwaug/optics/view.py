@@ -13,6 +13,7 @@ from uwaug._support.codec import plain
 Vector = tuple[float, float, float]
 Size = tuple[int, int]
 
+WIDE_DEGREES = 60.0  # stands for an angle that nobody has named
 _WIDEST = 8.0  # largest width of a picture in focal lengths: 152°
 
 
@@ -24,25 +25,30 @@ class View:
 
     Attributes:
         degrees: horizontal angle of view, 1…170. It stays when a picture is resized.
-        focal_px: focal length, px, in place of degrees. It stays when a picture is cropped.
+        focal_px: focal length, px, in place of degrees. It stays when a picture is cropped. With
+            neither, 60° stand for an unknown view, through which no planar map is read.
         center: column and row, px, where the axis of the camera passes, counted from the middle of
             the first pixel; None for the middle of the picture.
 
     Raises:
-        TypeError, ValueError: if a number is outside its domain.
+        TypeError, ValueError: if a number is outside its domain, or both angle and length come.
 
     Examples:
         >>> View(focal_px=525).crop((480, 640), left=288, top=216)
-        View(degrees=60.0, focal_px=525, center=(31.5, 23.5))
+        View(degrees=None, focal_px=525, center=(31.5, 23.5))
     """
 
-    degrees: float = 60.0
+    degrees: float | None = None
     focal_px: float | None = None
     center: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        checks.within("view: degrees", self.degrees, 1.0, 170.0)
+        if self.degrees is not None:
+            checks.within("view: degrees", self.degrees, 1.0, 170.0)
         if self.focal_px is not None:
+            if self.degrees is not None:
+                got = f"got degrees = {self.degrees:g} and focal_px = {self.focal_px:g}"
+                raise ValueError(f"view: degrees and focal_px say the same, {got}: give one")
             checks.positive("view: focal_px", self.focal_px, "px")
         if self.center is not None:
             center = checks.pair("view: center", self.center, "(column, row) in px")
@@ -62,7 +68,12 @@ class View:
         """Focal length, px, in a picture of this width, px."""
         if self.focal_px is not None:
             return self.focal_px
-        return width / (2 * math.tan(math.radians(self.degrees / 2)))
+        degrees = WIDE_DEGREES if self.degrees is None else self.degrees
+        return width / (2 * math.tan(math.radians(degrees / 2)))
+
+    def angle(self, width: int) -> float:
+        """Horizontal angle, degrees, of a picture of this width, px, around the axis."""
+        return math.degrees(2 * math.atan(width / (2 * self.focal(width))))
 
     def require(self, width: int) -> None:
         """Refuse a focal length that is not in px of a picture of this width, px."""
@@ -76,16 +87,17 @@ class View:
         return self.center or ((size[1] - 1) / 2, (size[0] - 1) / 2)
 
     def planar(self, width: int) -> dict[str, Any]:
-        """Focal length and centre as `uwaug.distance.along_ray` takes them, which counts px from
-        the corner of the first pixel.
+        """Focal length, None of an unknown view, and centre as `uwaug.distance.along_ray` takes
+        them, which counts px from the corner of the first pixel.
         """
         center = None if self.center is None else tuple(place + 0.5 for place in self.center)
-        return {"focal_px": self.focal(width), "center": center}
+        is_known = self.degrees is not None or self.focal_px is not None
+        return {"focal_px": self.focal(width) if is_known else None, "center": center}
 
     def crop(self, size: Size, left: int, top: int) -> "View":
         """The view of a crop that begins at a column and a row of a picture of (height, width)."""
         column, row = self.middle(size)
-        return View(self.degrees, self.focal(size[1]), (column - left, row - top))
+        return View(focal_px=self.focal(size[1]), center=(column - left, row - top))
 
     def resized(self, factor: float) -> "View":
         """The view of the picture at `factor` times its size."""
@@ -106,7 +118,7 @@ class View:
         return Rays.of(x.reshape(1, 1, 1, -1), y.reshape(1, 1, -1, 1))
 
 
-WIDE = View()  # the view that stands for an unknown one, 60° wide
+WIDE = View()  # an unknown view
 
 
 class Rays(NamedTuple):

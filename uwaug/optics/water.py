@@ -135,16 +135,11 @@ class Water(Spectra):
     @classmethod
     def from_constituents(cls, *, name: str | None = None, **contents: float) -> Self:
         """A water with these contents, at 400–700 nm: greens and browns that no Jerlov type has.
-        `uwaug/optics/constituents.py` has equations, sources and errors.
 
         Args:
             name: shown in messages and notes; None for the contents, as `load_water` reads them.
-            contents: amounts by the names of `constituents.UNITS`, up to 1e4; those missing are 0.
-                chlorophyll, of phytoplankton, mg/m³: .03 to .5 in the open ocean, 1 to 10 at
-                coasts, up to 100 in lakes.
-                cdom, absorption of coloured dissolved organic matter at 440 nm, 1/m: .01 in the
-                ocean, .1 to 1 at coasts, 10 in peat lakes.
-                minerals, suspended, g/m³: 0 in the ocean, .1 to 10 at coasts, 100 in rivers.
+            contents: amounts up to 1e4 by the names of `uwaug.Constituents`, which says what they
+                are; those missing are 0.
 
         Examples:
             >>> lake = Water.from_constituents(chlorophyll=12, cdom=0.8, minerals=2)
@@ -159,7 +154,7 @@ class Water(Spectra):
     @classmethod
     def of_amounts(cls, amounts: Mapping[str, float], name: str | None = None) -> Self:
         """As `from_constituents`, of the amounts of all contents, unchecked."""
-        name = Constituents(**amounts).name if name is None else name
+        name = name or checks.unchecked(Constituents, **amounts).name
         water = object.__new__(cls)
         return water._derived(WAVELENGTHS, optical_properties(amounts), name, (_BIO_OPTICAL,))
 
@@ -180,7 +175,7 @@ class Water(Spectra):
         """The mixture (1 − t)·self + t·other, linear in a, b and K_d, with t in 0…1.
 
         It has the wavelengths of both waters, in the range that both cover (ValueError if there is
-        none), and both provenances. A water mixed with itself is itself.
+        none), and both provenances.
 
         Examples:
             >>> Water.jerlov("II").mix(Water.jerlov("7C"), 0.3)
@@ -205,8 +200,8 @@ class Water(Spectra):
         """Horizontal visibility V [m]: the distance at which contrast falls to 2 %.
 
         Contrast is that of luminance: ∫ ȳ e^(−β V) dλ / ∫ ȳ dλ = 0.02 with the CIE 1931 observer ȳ
-        over 400–700 nm, or the part of it that this water covers (ValueError if there is none). It
-        is inf where nothing is attenuated.
+        over the part of 400–700 nm that this water covers (ValueError if there is none). It is inf
+        where nothing is attenuated.
 
         Sources: Duntley, *Light in the sea*, JOSA 53 (1963); Zaneveld and Pegau, *Robust underwater
         visibility parameter*, Opt. Express 11 (2003).
@@ -215,19 +210,15 @@ class Water(Spectra):
             >>> {t: round(Water.jerlov(t).visibility(), 1) for t in ("I", "IB", "II", "3C", "9C")}
             {'I': 78.5, 'IB': 32.6, 'II': 8.7, '3C': 3.3, '9C': 1.2}
         """
-        return self.metres_for(CONTRAST_THRESHOLD)
+        return _distance_to(CONTRAST_THRESHOLD, *self._at_eye(self.beta))
 
     def contrast(self, metres: float) -> float:
-        """Share of its luminance contrast that an object at this distance [m] keeps, 0…1: the
-        ∫ ȳ e^(−β z) dλ of ``visibility()``, the distance where it is 2 %.
+        """Share of its luminance contrast that an object at this distance [m] keeps, 0…1: 2 % at
+        the ``visibility()``.
 
         It is the contrast with the open water behind the object, as of a Secchi disc, and depends
         on the water alone. ``uwaug.contrast_left``, of patterns on an object, depends on depth, g
         and μ as well: where this is .5, that is .37 to .64 (types 1C, 7C and II, 0 to 10 m).
-
-        Examples:
-            >>> round(Water.jerlov("II").contrast(3), 3)
-            0.252
         """
         checks.within("metres", metres, *checks.DOMAIN["distance"])
         return self._luminance(self.beta, metres)
@@ -242,11 +233,9 @@ class Water(Spectra):
 
     def with_contrast(self, contrast: float, metres: float) -> Self:
         """The same kind of water with more or less in it, so that an object at a distance of
-        ``metres`` keeps this share of its luminance contrast. A share of .02 at 4 m is a visibility
-        of 4 m. See ``contrast(metres)``.
+        ``metres`` keeps this share of its luminance contrast; .02 at 4 m is a visibility of 4 m.
 
-        All that is dissolved and suspended is scaled by one factor s; pure sea water stays, and so
-        does the hue of the contents:
+        All that is dissolved and suspended is scaled by one factor s; pure sea water stays:
 
             a = a_w + s (a − a_w),  b = b_w + s (b − b_w),
             K_d = K_w + s (K_d − K_w),  K_w = a_w + b_w / 2.
@@ -254,10 +243,9 @@ class Water(Spectra):
         Where a spectrum lies below pure water (noise, or another water table), all of it counts as
         water. K_d is linear in the contents only to first order.
 
-        Raises:
-            ValueError: if ``contrast`` is more than pure water allows, or nothing but water is
-                there to be scaled; if ``metres`` is not positive; if the spectra leave 300–800 nm,
-                where pure water is tabulated.
+        ValueError if ``contrast`` is more than pure water allows, or nothing but water is there to
+        be scaled; if a number is not positive; if the spectra leave 300–800 nm, where pure water is
+        tabulated.
 
         References:
             a_w: Buiteveld et al. 1994, as used by Williamson and Hollins 2022. b_w: Morel 1974, as
@@ -270,6 +258,7 @@ class Water(Spectra):
             (Water('1C with 0.5 of the contrast at 3 m', 65 wavelengths, 300–700 nm), 0.5)
         """
         checks.positive("metres", metres)
+        checks.positive("contrast", contrast)
         fine = self._fine()
         largest = fine._luminance(fine._pure()[:2].sum(0), metres)
         if contrast > largest:
@@ -286,12 +275,12 @@ class Water(Spectra):
         """Factor s of ``with_contrast``: 0 where pure water alone leaves no more, infinity where
         nothing but pure water is there to be scaled, 1 at an infinite distance.
         """
-        checks.positive("contrast", contrast)
         if math.isinf(metres):
             return 1.0
         fine = self._fine()
         pure = fine._pure()[:2].sum(0)
-        axes = *fine._eye(), fine.wavelengths
+        axis = fine.wavelengths
+        axes = *eye(float(axis[0]), float(axis[-1])), axis
         return _contents_for(contrast, metres, *axes, pure, fine.beta - pure)
 
     def daylight(self, depth: float) -> float:
@@ -315,20 +304,12 @@ class Water(Spectra):
             name = f"pure water (without contents of {self.name})"
         return self._scaled(factor, name, self.provenance)
 
-    def _eye(self) -> tuple[Array, Array]:
-        """Wavelengths that the water covers and the eye sees, and the eye's weights."""
-        low, high = float(self.wavelengths[0]), float(self.wavelengths[-1])
-        if low > _VISIBLE_NM[1] or high < _VISIBLE_NM[0]:
-            raise ValueError(f"{self} has no wavelength in 400–700 nm")
-        return eye(low, high)
-
     def _at_eye(self, rates: Array) -> tuple[Array, Array]:
         """The eye's weights, whose sum is 1, and rates at its wavelengths."""
-        nodes, weights = self._eye()
+        nodes, weights = eye(float(self.wavelengths[0]), float(self.wavelengths[-1]))
         return weights, np.interp(nodes, self.wavelengths, rates)
 
     def _luminance(self, rates: Array, metres: float) -> float:
-        """Share of luminance that is left after a path in which light fades at these rates."""
         weights, rates = self._at_eye(rates)
         return float(weights @ np.exp(rates * -metres))
 
@@ -351,22 +332,20 @@ class Water(Spectra):
         return self._derived(fine.wavelengths, table, name, provenance)
 
     def _fine(self) -> Self:
-        """This water at the bands of a medium, too, between which pure water is about linear: so it
-        makes no difference whether it is scaled or taken to these bands first.
-        """
+        # at the bands of a medium, too, between which pure water is about linear: so it makes no
+        # difference whether it is scaled or taken to these bands first
         bands = bands_between(float(self.wavelengths[0]), float(self.wavelengths[-1]))
         if np.array_equal(self.wavelengths, bands):
             return self
         return self.at(np.union1d(self.wavelengths, bands))
 
+    # without checks of spectra, which would take most of a transform's time
     def _derived(self, axis: Array, table: Array, name: str, provenance: tuple[str, ...]) -> Self:
-        """A water of valid spectra, without checks, which would take most of a transform's time."""
-        water = object.__new__(type(self))
         table.flags.writeable = False
         axis.flags.writeable = False
-        a, b, kd = table
-        vars(water).update(wavelengths=axis, a=a, b=b, kd=kd, name=name, provenance=provenance)
-        return water
+        rates = dict(zip(("a", "b", "kd"), table, strict=True))
+        text = {"name": name, "provenance": provenance}
+        return checks.unchecked(type(self), wavelengths=axis, **rates, **text)
 
     def _table(self, axis: Array) -> Array:
         """a, b and K_d (3, N) on an axis inside the water's range."""
@@ -483,7 +462,6 @@ def _contents_for(
     pure: Array,
     contents: Array,
 ) -> float:
-    """`Water.contents_for`, of the rates of pure water and contents at the water's wavelengths."""
     luminance = weights * np.exp(np.interp(nodes, wavelengths, pure) * -metres)
     if luminance.sum() <= contrast:
         return 0.0
@@ -493,6 +471,8 @@ def _contents_for(
 @lru_cache(maxsize=16)
 def eye(low: float, high: float) -> tuple[Array, Array]:
     """Wavelengths between two that the eye sees, nm, and weights by the CIE 1931 observer's ȳ."""
+    if low > _VISIBLE_NM[1] or high < _VISIBLE_NM[0]:
+        raise ValueError(f"water: {low:g}–{high:g} nm has no wavelength in 400–700 nm")
     nodes = np.linspace(max(low, _VISIBLE_NM[0]), min(high, _VISIBLE_NM[1]), _EYE_NODES)
     observer = read_spectra(Path(__file__).parent / "observer.csv", {"y": "luminance"})
     weights = np.interp(nodes, observer["wavelength"], observer["y"])

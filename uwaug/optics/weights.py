@@ -2,8 +2,11 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from uwaug._support.types import Array
-from uwaug.optics.point_spread import LENGTHS
+from uwaug.optics.point_spread import widths
+from uwaug.optics.surfaces import mixed
 
 
 class Weights(NamedTuple):
@@ -22,18 +25,15 @@ class Weights(NamedTuple):
         """The n-th medium, as a batch of one."""
         return self if len(self.beta) == 1 else Weights(*[array[n : n + 1] for array in self])
 
-    def seen_by(self, gains: Array) -> "Weights":
-        """The media before a camera that mixes channels by matrices (B or 1, 3, 3)."""
-        count = max(len(gains), len(self.beta))
+    def brightened(self, gains: Array) -> "Weights":
+        """The media as seen by a camera that mixes channels by matrices (B or 1, 3, 3)."""
+        light = {name: mixed(gains, getattr(self, name)) for name in ("direct", "signal", "veil")}
         wide = self
-        if count > len(self.beta):
-            wide = Weights(*[array.repeat(count, 0) for array in self])
-        direct = (gains @ wide.direct.reshape(count, 3, -1)).reshape(wide.direct.shape)
-        signal = (gains @ wide.signal.reshape(count, 3, -1)).reshape(wide.signal.shape)
-        return wide._replace(direct=direct, signal=signal, veil=gains @ wide.veil)
+        if len(gains) > len(self.beta):
+            wide = Weights(*[array.repeat(len(gains), 0) for array in self])
+        return wide._replace(**light)
 
     def widths(self, z: Array) -> Array:
         """Widths (BxN) of the forward scatter at distances (N), m, in units of the law."""
-        lengths = (self.b_mean[:, None] * z).clip(*LENGTHS)
-        widths: Array = self.scale[:, None] * lengths ** self.exponent[:, None]
-        return widths
+        numbers = self.b_mean[:, None], self.scale[:, None], self.exponent[:, None]
+        return np.asarray(widths(z, *numbers))

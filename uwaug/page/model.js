@@ -77,14 +77,14 @@ const beta = water => join(water.a, water.b, (a, b) => a + b);
 /** Visibility [m]: where 2 % of the contrast are left. */
 export const visibility = (water, tables) => distanceTo(0.02, tables.eye, toEye(beta(water), tables));
 
-/** How many times its contents leave this contrast at a distance [m]; 0 where pure water leaves less. */
+/** How many times its contents leave this contrast at a distance [m], or the most; 0 where pure water leaves less. */
 export function contentsFor(water, contrast, metres, tables) {
   if (metres === Infinity) return 1;
   const pure = pureIn(water, tables), still = join(pure.a, pure.b, (a, b) => a + b);
   const seen = join(tables.eye, toEye(still, tables), (w, rate) => w * Math.exp(-rate * metres));
   if (sum(seen) <= contrast) return 0;
   const contents = toEye(join(beta(water), still, (x, y) => x - y), tables);
-  return distanceTo(contrast, seen, contents.map(rate => rate * metres));
+  return Math.min(distanceTo(contrast, seen, contents.map(rate => rate * metres)), tables.mostContents);
 }
 
 /** No deeper than where a metered exposure can make up for the light. */
@@ -227,7 +227,6 @@ export function waterTable(scene, settings, tables) {
   let water = waterOf(settings, tables), contents = 1;
   if (settings.contrast !== null) {
     contents = contentsFor(water, settings.contrast, scene.median * settings.times, tables);
-    if (contents === Infinity) throw new RangeError("There is nothing in this water that could be scaled.");
     water = withContents(water, contents, tables);
   }
   const depth = depthShown(water, settings.vertical_depth, tables);

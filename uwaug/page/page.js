@@ -456,7 +456,7 @@ function code() {
   const entries = Object.entries(options);
   if (language === "TOML") {
     const lines = entries.map(([name, value]) => `${name} = ${toml(value)}`);
-    return [`# ${words.join(" ")} --options this.toml --out wet.png`, ...lines].join("\n");
+    return [`# ${words.join(" ")} --options this.toml --out wet/`, ...lines].join("\n");
   }
   const { waters, contrast, ...rest } = options.water ?? {}, flat = { ...options };
   delete flat.water;
@@ -468,7 +468,7 @@ function code() {
   }
   const draws = language === "command for draws";
   if (real && draws) words.push(`--like ${quoted(real.name)}`);
-  return `${words.join(" ")} ${draws ? "--variants 12 --sheet --out wet/" : "--out wet.png"}`;
+  return `${words.join(" ")}${draws ? " --variants 12 --sheet" : ""} --out wet/`;
 }
 function download(blob, name) {
   const href = URL.createObjectURL(blob);

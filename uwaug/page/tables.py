@@ -19,7 +19,7 @@ from uwaug.optics.jerlov import IN_WORDS, JERLOV_TYPES
 from uwaug.optics.point_spread import LENGTHS, PointSpread
 from uwaug.optics.spectra import WAVELENGTHS
 from uwaug.optics.surfaces import reflectances
-from uwaug.optics.view import WIDE
+from uwaug.optics.view import WIDE, WIDE_DEGREES
 from uwaug.optics.water import CONTRAST_THRESHOLD, LEAST_LOSS, Water, eye
 from uwaug.transforms import random_water
 from uwaug.transforms.appearance import WATER_FEATURES
@@ -85,7 +85,8 @@ def tables() -> dict[str, Any]:
         "reflectance": _REFLECTANCE,
         "dimmest": random_water.DIMMEST,
         "much": random_water.MOST_CONTENTS,
-        "direction": {"view": WIDE.degrees, "rise": direction.RISE, "most": direction.MAX_RISE},
+        "mostContents": 2**random_water.MOST_STOPS,
+        "direction": {"view": WIDE_DEGREES, "rise": direction.RISE, "most": direction.MAX_RISE},
         "meter": {
             "count": development.METERED,
             "looks": SAMPLED,

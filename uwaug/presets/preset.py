@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from uwaug._support.atomic import read_text
+from uwaug.formation.setting import Setting
 from uwaug.optics.camera import Camera
 from uwaug.optics.water import Water
 from uwaug.presets.files import preset_path
@@ -47,9 +48,7 @@ def load_preset(
 
         if given:
             _refuse(Path(name_or_path), given)
-        fit = load_fit(Path(name_or_path))
-        development = RandomDevelopment(**RandomDevelopment.PLAIN, color_space=fit.color_space)
-        return RandomUnderwater(RandomWater(fit.medium, field=None), development=development)
+        return _of_setting(load_fit(Path(name_or_path)).setting)
     path = preset_path(name_or_path)
     tables = read_tables(path)
     waters = tables["water"].get("waters")
@@ -75,13 +74,23 @@ def read_tables(path: Path) -> dict[str, Any]:
     return {**tables, "water": {**water, **named}}
 
 
+def _of_setting(setting: Setting) -> RandomUnderwater:
+    """A transform of which nothing is random but the place of snow."""
+    numbers = {name: getattr(setting.development, name) for name in RandomDevelopment.PLAIN}
+    numbers["metered"] = bool(numbers["metered"])
+    development = RandomDevelopment(
+        **numbers, color_space=setting.color_space, noise=setting.development.noise
+    )
+    water = RandomWater(setting.medium, field=None)
+    return RandomUnderwater(water, light=setting.light, development=development, view=setting.view)
+
+
 def _refuse(path: Path, given: dict[str, Any]) -> None:
     what = " or ".join(given).replace("waters", "water")
     raise ValueError(f"{path} holds coefficients, which no {what} replaces")
 
 
 def _beside(path: Path, value: Any) -> Any:
-    """Complete the path of a CSV file, or of those in a list, as it lies beside the preset."""
     if isinstance(value, list):
         return [_beside(path, item) for item in value]
     return path.parent / value if str(value).lower().endswith(".csv") else value

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from uwaug._support import checks
-from uwaug._support.nouns import SEEDS, Drawn, Noun, Uniform, require_names
+from uwaug._support.nouns import SEEDS, Drawn, Noun, require_names
 from uwaug.formation.development import DOMAINS
 
 Record = dict[str, Any]
@@ -32,11 +32,6 @@ class Draw(NamedTuple):
         """How far the water has moved (m) to the right, down and away, as the camera sees it."""
         right, down, forward = self.motion
         return self.moved - right, -down, -forward
-
-
-def uniform_of(seed: int) -> Uniform:
-    """The numbers of 0…1 that a picture of this seed (0…2^63) draws."""
-    return Uniform(seed.to_bytes(8))
 
 
 def of_frame(sample: Record, number: int) -> Record:

@@ -20,7 +20,7 @@ from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres
 from uwaug.formation.colour import linear_to_srgb, require_values
 from uwaug.transforms.appearance import WATER_FEATURES, Values, water_features
-from uwaug.transforms.draws import Record, read_draws, uniform_of
+from uwaug.transforms.draws import Record, read_draws
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import typed
 
@@ -107,7 +107,7 @@ class UnderwaterLike(RandomUnderwater):
         self.kept, self.nearness = kept, nearness
         if not self.kept:
             raise ValueError("kept: expected at least one, got none")
-        sample = super()._sample(uniform_of(0))
+        sample = super()._sample(Uniform(bytes(8)))
         for draws in self.kept:
             read_draws({"samples": [_with_kept(sample, draws)]}, 1, self._nouns)
 

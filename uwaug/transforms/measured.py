@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ class Measured(NamedTuple):
 
     Attributes:
         width, height: px.
-        darkest, brightest: ends of the values, of 0…1.
+        darkest, brightest: ends of the values, of 0…1; of bytes 0 and 1.
         nearest, farthest, median: distances, m; the last two of all but open water, else infinite.
         metered: True if an exposure makes up for the light that is lost above the scene.
         exposure: stops that a meter has settled for all frames of a film; None: to be metered.
@@ -53,31 +54,35 @@ def measure(pictures: Tensor, metres: Tensor, *, metered: bool) -> list[Measured
     where they are on a device.
     """
     height, width = metres.shape[-2:]
-    points = metering_points(height, width, metres.device)[:SAMPLED]
+    points = _points(height, width, metres.device)
     values, distances = pictures.detach().flatten(1), metres.detach().flatten(1)
     rows_of = _rows_on_host if checks.on_host(metres) else _rows_on_device
-    white = 1.0 if pictures.is_floating_point() else 255.0
     measurements = []
     for i, row in enumerate(rows_of(values, distances, points)):
         darkest, brightest, nearest, farthest, median = row
         if math.isinf(median):  # all is open water, or all of the points
             median = _median(distances[i].cpu().numpy())
-        ends = darkest / white, brightest / white, nearest, farthest
+        ends = darkest, brightest, nearest, farthest
         measurements.append(Measured(width, height, *ends, median, metered))
     return measurements
 
 
+@lru_cache(maxsize=8)
+def _points(height: int, width: int, device: torch.device) -> Tensor:
+    with torch.inference_mode(False):  # tensors of inference mode cannot be used outside
+        return metering_points(height, width, device)[:SAMPLED].clone()
+
+
 def _rows_on_host(values: Tensor, distances: Tensor, points: Tensor) -> list[list[float]]:
-    """Ends of values, ends and median of distances, for each picture. Along a dimension PyTorch
-    takes 15 times as long on a CPU as over all of a picture.
-    """
-    rows = []
+    """Ends of values, ends and median of distances, for each picture."""
+    rows = []  # along a dimension PyTorch takes 15 times as long as over all of a picture
     for picture, metres in zip(values, distances, strict=True):
         nearest, farthest = checks.extent(metres)
         if math.isinf(farthest):
             farthest = checks.extent(metres.nan_to_num(posinf=0.0))[1] or math.inf
+        ends = checks.extent(picture) if picture.is_floating_point() else (0.0, 1.0)
         median = _median(metres.index_select(0, points).numpy())
-        rows.append([*checks.extent(picture), nearest, farthest, median])
+        rows.append([*ends, nearest, farthest, median])
     return rows
 
 
@@ -87,14 +92,16 @@ def _rows_on_device(values: Tensor, distances: Tensor, points: Tensor) -> list[l
     samples = distances.index_select(1, points).sort(1).values  # open water and NaN come last
     middle = samples.isfinite().sum(1, keepdim=True) // 2
     median = samples.gather(1, middle.clamp(max=samples.shape[1] - 1))[:, 0]
-    columns = (values.amin(1), values.amax(1), distances.amin(1), solid, median)
+    darkest, brightest = median.new_zeros(len(values)), median.new_ones(len(values))
+    if values.is_floating_point():
+        darkest, brightest = values.amin(1), values.amax(1)
+    columns = (darkest, brightest, distances.amin(1), solid, median)
     kind = torch.promote_types(distances.dtype, torch.float32)
     rows: list[list[float]] = torch.stack([x.to(kind) for x in columns], 1).cpu().tolist()
     return rows
 
 
 def _median(distances: Any) -> float:
-    """Median of distances (N), of two in the middle the farther one; infinite if all are."""
     solid = distances[np.isfinite(distances)]
     middle = solid.size // 2
     return float(np.partition(solid, middle)[middle]) if solid.size else math.inf

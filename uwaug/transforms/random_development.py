@@ -52,6 +52,7 @@ class RandomDevelopment(Noun):
     def __post_init__(self) -> None:
         if self.noise is not None:
             checks.instance("noise", self.noise, Sensor)
+        checks.truth("metered", self.metered)
         checks.one_of("color_space", self.color_space, get_args(ColorSpace))
         self.require_ranges()
 
@@ -66,4 +67,4 @@ class RandomDevelopment(Noun):
             options["white_balance"] = measured.white_balance
         if measured.saturation is not None:
             options["saturation"] = measured.saturation
-        return Development(**options)
+        return checks.unchecked(Development, **options)

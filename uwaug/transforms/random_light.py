@@ -100,11 +100,6 @@ class RandomLight(Noun):
         """See `Noun.random`."""
         return ["share", *super().random()] if self.share > 0 else self._day.random()
 
-    @staticmethod
-    def has_lamps(draw: Drawn) -> bool:
-        """True if lamps light a picture of this draw."""
-        return "rig" in draw
-
     @cached_property
     def _day(self) -> "_Day":
         return _Day(self.pitch)
@@ -113,7 +108,7 @@ class RandomLight(Noun):
         """The light of a picture; None for daylight that is alike in all directions."""
         pitch = draw.get("pitch")
         if "rig" not in draw:
-            return None if pitch is None else Light(pitch=pitch)
+            return None if pitch is None else checks.unchecked(Light, pitch=pitch)
         metres = measured.median if math.isfinite(measured.median) else _OPEN_WATER_M
         rig = RIGS[_picked(draw["rig"], self.rigs)]
         low, high = rig.lamps

@@ -16,7 +16,7 @@ from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
 from uwaug.optics.view import WIDE, View
-from uwaug.transforms.draws import NOUNS, Draw, Record, of_frame, read_draws, uniform_of
+from uwaug.transforms.draws import NOUNS, Draw, Record, of_frame, read_draws
 from uwaug.transforms.measured import Measured
 from uwaug.transforms.random_development import RandomDevelopment
 from uwaug.transforms.random_light import RandomLight
@@ -145,11 +145,8 @@ class RandomUnderwater(SampleTransform):
 
         Args:
             level: 1 (mild) … 5 (severe); .65, .5, .35, .2 and .08 of the contrast are left at the
-                scene's median distance.
+                scene's median distance. ValueError if there is none, or the water has a visibility.
             water, options: as for the class.
-
-        Raises:
-            ValueError: if there is no such level, or the water has a visibility.
         """
         if level not in SEVERITIES:
             raise ValueError(f"level must be a whole number from 1 to 5, got {level!r}")
@@ -182,11 +179,12 @@ class RandomUnderwater(SampleTransform):
         measured = Measured(1, 1, 0.0, 1.0, nearest, farthest, farthest, self.development.metered)
         thin, dense = self.water.field or (1.0, 1.0)
         low, high = nearest * thin, farthest * dense
-        draw = Draw(**self._sample(uniform_of(0)))
+        draw = Draw(**self._sample(Uniform(bytes(8))))
         light = self._nouns["light"].of(draw.light, measured)
         water, _ = self.water.water(draw.water, farthest)
+        medium, *_ = self.water.of(water, draw.water, measured, light, self.view)
         return Underwater(
-            self.water.of(water, draw.water, measured, light, self.view).medium,
+            medium,
             distance_range or (low, max(high, 1.01 * low)),  # of a plane, too
             color_space=self.development.color_space,
             sides=sides,
@@ -197,10 +195,7 @@ class RandomUnderwater(SampleTransform):
 
     def to_dict(self) -> dict[str, Any]:
         """The options that differ from the defaults, as JSON, YAML and TOML hold them; "none" for
-        None.
-
-        Raises:
-            TypeError: if an option cannot be written so, such as a function.
+        None. TypeError if an option cannot be written so, such as a function.
         """
         plain: dict[str, Any] = codec.to_plain(self)
         return plain
@@ -208,10 +203,8 @@ class RandomUnderwater(SampleTransform):
     @staticmethod
     def from_dict(options: Mapping[str, Any]) -> "RandomUnderwater":
         """A transform from what `to_dict` gives, or from options as a person writes them in TOML:
-        nouns as tables, a range as two numbers, "none" for None; `distance` with a `kind`.
-
-        Raises:
-            TypeError, ValueError: as the class, and if a table does not suit.
+        nouns as tables, a range as two numbers, "none" for None; `distance` with a `kind`. Raises
+        as the class.
         """
         transform: RandomUnderwater = codec.from_plain(options, RandomUnderwater)
         return transform
@@ -231,24 +224,24 @@ class RandomUnderwater(SampleTransform):
         """
         count = 1 if image.ndim == 3 or is_film(image) else len(image)
         seeds = torch.randint(2**63 - 1, (count,), generator=generator, device="cpu").tolist()
-        return {"samples": [self._sample(uniform_of(seed)) for seed in seeds]}
+        return {"samples": [self._sample(Uniform(seed.to_bytes(8))) for seed in seeds]}
 
     def _sample(self, uniform: Uniform) -> Record:
-        draws = {name: noun.drawn(uniform.of(name)) for name, noun in self._nouns.items()}
-        return {"applied": uniform("applied") < self.p, **draws}
+        sample: Record = {"applied": uniform("applied") < self.p}
+        for name, noun in self._nouns.items():
+            sample[name] = noun.drawn(Uniform(uniform.key, f"{name}."))
+        return sample
 
     @uncompiled
     def transform(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
-        """Degrade a picture or a batch as a record says: deterministic.
+        """Degrade a picture or a batch as a record says: deterministic. `image` itself comes back
+        if the record leaves all of it alone.
 
         Args:
             image (3xHxW or Bx3xHxW tensor): uint8 or floating point.
             distance (1xHxW or Bx1xHxW tensor): maps as the transform's `distance` reads them; None
                 if it reads none.
             params: from `make_params` of an equal transform; one sample serves a whole batch.
-
-        Returns:
-            The degraded image, like `image`; `image` itself if the record leaves all of it alone.
         """
         return self.scenes(image, distance, params).formed()
 

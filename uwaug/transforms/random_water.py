@@ -23,7 +23,7 @@ from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.constituents import Constituents
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
-from uwaug.optics.reduction import default_bands
+from uwaug.optics.reduction import default_bands, reduced
 from uwaug.optics.snow import MarineSnow
 from uwaug.optics.view import View
 from uwaug.optics.water import CONTRAST_THRESHOLD, Water, load_water
@@ -36,8 +36,8 @@ CONTENTS = Constituents(chlorophyll=(1.0, 9.0), cdom=(0.15, 1.2), minerals=(0.06
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", *[CONTENTS] * 5)
-"""Five of ten default waters are Jerlov types. In 7C and 9C nearly one colour is left, which looks
-like a filter. (Others that were tried: benchmarks/CHOICES.md, default draws.)
+"""In 7C and 9C nearly one colour is left, which looks like a filter. (What else was tried, and how
+`VISIBLE` was chosen: benchmarks/CHOICES.md, default draws.)
 """
 
 DIMMEST = 1 / 8
@@ -49,7 +49,7 @@ _CURVES = 0.002  # tolerance of a medium's curves, in the light that a metered e
 
 VISIBLE = (1.8, 14.0)
 """Median distances of a scene that one sees in the default waters: photographers stand where they
-can see. (How it was chosen: benchmarks/CHOICES.md, default draws.)
+can see.
 """
 
 PLACED_M = 2.0
@@ -62,7 +62,7 @@ MILDEST = 0.65
 # severest grade at 1 m
 MOST_CONTENTS = 50.0
 _LEAST_CONTENTS = 1e-3  # share of it that stays where pure water is too murky already
-_MOST_STOPS = 12.0  # by which contents are scaled, whatever is asked for
+MOST_STOPS = 12.0  # by which contents are scaled, whatever is asked for
 _HALVINGS = 13  # of stops that are looked for under lamps
 _WALL_PX = 192  # of a wall at the median distance, under lamps
 
@@ -99,15 +99,6 @@ class Clarity(NamedTuple):
             got = f"pure water has less than {asked} at {self.metres:.3g} m"
             return f"{got}: ask for less, if distances are metres"
         return ""
-
-
-class PictureWater(NamedTuple):
-    """The water of one picture."""
-
-    medium: Medium
-    vertical_depth: float | None  # m; None of a medium
-    water: Water | Medium
-    contents: float  # factor of what is in it that brought it to a contrast
 
 
 @codec.plain
@@ -269,7 +260,7 @@ class RandomWater(Noun):
         visibility, least_contents = draw.get("visibility"), 0.0
         if "clearness" in draw and math.isfinite(median):
             least_contents = _LEAST_CONTENTS
-            least, most = (count * median for count in VISIBLE)
+            least, most = VISIBLE[0] * median, VISIBLE[1] * median
             visibility = least * (most / least) ** draw["clearness"]
             if isinstance(first, str):
                 visibility = min(max(water.visibility(), least), most)
@@ -292,9 +283,9 @@ class RandomWater(Noun):
         measured: Measured,
         light: Light | None,
         view: View,
-    ) -> PictureWater:
-        """The medium of a picture, from its `water`, which is brought to the contrast that was
-        drawn, if any, in this light.
+    ) -> tuple[Medium, float | None, Water | Medium, float]:
+        """The medium of a picture; its depth [m], None of a medium; its `water`, brought to the
+        contrast that was drawn, if any, in this light; and the factor of its contents that does it.
         """
         has_lamps = bool(light and light.lamps)
         medium_of = partial(self._medium_of, draw=draw, metered=measured.metered, lamps=has_lamps)
@@ -308,7 +299,11 @@ class RandomWater(Noun):
                 contents = _contents(water, asked, measured.median)
             water = water.with_contents(contents)
         medium, depth = medium_of(water)
-        return PictureWater(self._with_snow(medium, draw, measured), depth, water, contents)
+        if self.snow is not None:
+            snow = self.snow.of(draw["snow"])
+            x, y, z = (own + way for own, way in zip(snow.drift, measured.moved, strict=True))
+            medium = medium.with_snow(replace(snow, drift=(x, y, z)))
+        return medium, depth, water, contents
 
     def _medium_of(
         self, water: Water | Medium, *, draw: Drawn, metered: bool, lamps: bool
@@ -326,10 +321,8 @@ class RandomWater(Noun):
                     taken = f"the scene is taken at {deepest:.3g} m; metered=False keeps the dark"
                     odd_scene.warn(f"{got} of light: {taken}")
                 depth, daylight = deepest, DIMMEST
-        law = self.point_spread or _CALIBRATED
-        surfaces = "color_matrix" in draw, draw.get("color_matrix", 1.0)
         tolerance = _CURVES * daylight  # errors, too, are brought up by an exposure
-        options = (depth, draw["g"], self._mu(draw), law, *surfaces, tolerance)
+        options = depth, draw["g"], self._mu(draw), draw.get("color_matrix"), tolerance
         return self._medium(water, options, lamps), depth
 
     def fields(
@@ -338,9 +331,13 @@ class RandomWater(Noun):
         """The medium field (Bx1xHxW) of each picture, of the size of `like`; 1 in even water."""
         if self.field is None:
             return like.new_ones(())
-        scales = [view.focal(m.width) / m.median for m in measured]  # px a metre
-        moved = [(k * m.moved[0], k * m.moved[1]) for k, m in zip(scales, measured, strict=True)]
-        seeds = [draw.water["field_seed"] for draw in draws]
+        seeds, moved = list[int](), list[tuple[float, float]]()
+        for draw, picture in zip(draws, measured, strict=True):
+            right, down, _ = picture.moved
+            # to move by 0 m needs no px a metre
+            scale = view.focal(picture.width) / picture.median if right or down else 0.0
+            seeds.append(draw.water["field_seed"])
+            moved.append((scale * right, scale * down))
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
 
     def _medium(self, water: Water, options: tuple[Any, ...], lamps: bool) -> Medium:
@@ -348,19 +345,13 @@ class RandomWater(Noun):
         before: tuple[Water, Any, Medium] | None = vars(self).get("_before")
         if before and before[0] is water and before[1] == (options, lamps):
             return before[2]
-        medium = Medium.of_spectra(water, self.response, *options, lamps=lamps)
+        arrays = reduced(water, self.response, *options, lamps=lamps)
+        medium = Medium.of_arrays(*arrays, self.point_spread or _CALIBRATED)
         vars(self)["_before"] = water, (options, lamps), medium
         return medium
 
-    def _with_snow(self, medium: Medium, draw: Drawn, measured: Measured) -> Medium:
-        if self.snow is None:
-            return medium
-        snow = self.snow.of(draw["snow"])
-        x, y, z = (own + way for own, way in zip(snow.drift, measured.moved, strict=True))
-        return medium.with_snow(replace(snow, drift=(x, y, z)))
-
     def _mu(self, draw: Drawn) -> float:
-        """μ; of a range no more than g, as no veil is brighter than a white plate."""
+        # of a range no more than g: no veil that is drawn is brighter than a white plate
         g: float = draw["g"]
         if self.mu is None:
             return min(1.5 * g, 1.0)
@@ -390,7 +381,7 @@ def _contents(water: Water, contrast: float, metres: float) -> float:
     """Factor of what is in a water that leaves this contrast at a distance [m] by daylight, or the
     most: next to nothing is in type I.
     """
-    return min(water.contents_for(contrast, metres), math.exp2(_MOST_STOPS))
+    return min(water.contents_for(contrast, metres), math.exp2(MOST_STOPS))
 
 
 def _contents_under(
@@ -410,13 +401,13 @@ def _contents_under(
     rows = max(1, round(columns * size[0] / size[1]))
     wall = torch.full((1, rows, columns), measured.median, dtype=torch.float64)
     shown = view.crop(size, 0, 0).resized(columns / size[1])
-    low, high = -_MOST_STOPS, _MOST_STOPS
+    low, high = -MOST_STOPS, MOST_STOPS
     for _ in range(_HALVINGS):
         stops = (low + high) / 2
         medium, _depth = medium_of(water.with_contents(2.0**stops))
         left = contrast_left(wall, medium, light=light, view=shown).mean()
         low, high = (stops, high) if float(left) > contrast else (low, stops)
-    return 2.0**low if low > -_MOST_STOPS else 0.0
+    return 2.0**low if low > -MOST_STOPS else 0.0
 
 
 def _named(waters: Any) -> list[tuple[str, Water | Constituents | Medium]]:

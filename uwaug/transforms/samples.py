@@ -192,7 +192,8 @@ def maps_for(pictures: Tensor, distance: Any, source: Source) -> Sequence[Tensor
         hint = "; expected (image, distance, …), (image, {'distance': …}) or a dict of both"
     checks.floating("distance", distance, hint)
     checks.picture("distance", distance, 1)
-    require_aspect("distance", distance, pictures)
+    if distance.shape[-2:] != pictures.shape[-2:]:
+        require_aspect("distance", distance, pictures)
     checks.same_device("distance", distance, pictures)
     plain, count = typed(distance, Tensor), len(pictures)
     maps = list(plain) if plain.ndim == 4 else [plain]

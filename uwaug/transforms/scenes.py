@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -127,9 +128,7 @@ def scenes_of(
     nouns: Mapping[str, Any],
     view: View,
 ) -> Scenes:
-    """Put an image, whose pictures are Bx3xHxW, into the water of their draws, by the nouns of a
-    transform.
-    """
+    """Put an image, whose pictures are Bx3xHxW, into the water of their draws."""
     view.require(pictures.shape[-1])
     fast.load()  # else the first picture of a process would be off by the last bits
     water: RandomWater = nouns["water"]
@@ -157,18 +156,20 @@ def scenes_of(
         submerged = pictures if len(chosen) == len(pictures) else pictures[chosen]
         metered = nouns["development"].metered
         measurements = measure(submerged, metres, metered=metered)
-        are_whole = all(m.nearest > 0 and m.farthest < FARTHEST_SEEN for m in measurements)
-        if not are_whole and source == _WHOLE_MAPS:
+        holed = [m for m in measurements if not (m.nearest > 0 and m.farthest < FARTHEST_SEEN)]
+        if holed and source == _WHOLE_MAPS:
             metres = _read_again(source, pictures, metres, chosen)
             measurements = measure(submerged, metres, metered=metered)
         scenes, of_films = [], []
         for n, (i, draw, measured) in enumerate(zip(chosen, applied, measurements, strict=True)):
-            with naming(i, len(pictures)):
+            with nullcontext() if len(pictures) == 1 else naming(i, len(pictures)):
                 if not (measured.darkest >= 0 and measured.brightest <= 1):
                     require_values(pictures[i], space)
-                of_films.append(measured.of_film(draw.measured, draw.passed))
-                drawn = waters[n] if waters else water.water(draw.water, of_films[-1].median)
-                scenes.append(_scene(draw, drawn, measured, of_films[-1], nouns, view))
+                is_film = draw.measured or draw.moved or any(draw.motion)
+                film = measured.of_film(draw.measured, draw.passed) if is_film else measured
+                of_films.append(film)
+                drawn = waters[n] if waters else water.water(draw.water, film.median)
+                scenes.append(_scene(draw, drawn, measured, film, nouns, view))
         metres = metres.double() if pictures.dtype == torch.float64 else metres
         metres = metres.clamp(max=FARTHEST)
         z = metres * water.fields(applied, of_films, metres, view)
@@ -207,9 +208,7 @@ def _metres_of(
     color_space: ColorSpace,
     view: View,
 ) -> Tensor:
-    """Distances (Nx1xHxW, m) of the pictures (Bx3xHxW) to degrade, by the source's `numbers` (N) of
-    each; of `Metres()` as they come.
-    """
+    """Distances (Nx1xHxW, m) of the pictures to degrade; those of `Metres()` as they come."""
     results = list[Tensor]()
     for i, (metres, picture, draw) in enumerate(zip(maps, pictures, draws, strict=True)):
         if not draw.applied:
@@ -226,7 +225,8 @@ def _metres_of(
                 metres = source.metres(metres, srgb, numbers[len(results)], **rays)
         if metres.dtype.itemsize < 4:
             metres = metres.float()
-        results.append(brought_to(picture.shape[-2:], metres))
+        is_of_size = metres.shape[-2:] == picture.shape[-2:]
+        results.append(metres if is_of_size else brought_to(picture.shape[-2:], metres))
     return results[0][None] if len(results) == 1 else torch.stack(results)
 
 
@@ -242,7 +242,7 @@ def _read_again(source: Source, pictures: Tensor, metres: Tensor, chosen: Sequen
 def _warn_if_blank(setting: Setting) -> None:
     """Warn, once in a process, if next to nothing is left to see at the median distance."""
     median = setting.span[1]
-    if not math.isfinite(median) or not _blank.due():
+    if _blank.looks_left < 1 or not math.isfinite(median) or not _blank.due():
         return
     z = setting.medium.beta.new_full((1, 1, 1), median)
     if float(contrast_left(z, setting.medium, light=setting.light)) < FAINT:

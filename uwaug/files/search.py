@@ -1,0 +1,82 @@
+"""Which files of a folder are pictures."""
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from uwaug.files.folder import manifest_of
+from uwaug.files.pictures import ENDINGS, holds_picture
+from uwaug.files.record import record_of
+
+PICTURE_ENDINGS = tuple(end for end in ENDINGS if end != ".npy")
+# cures for pictures that are neither read nor written, with the ends of their names
+_UNREAD = {
+    "convert them first, as by magick mogrify -format png": ".avif .bmp .dds .gif .hdr .heic .heif "
+    ".hif .insp .jfif .jp2 .jpe .jpf .jpx .j2k .jxl .mpo .pgm .pnm .ppm .psd .qoi .tga .webp",
+    "develop them first, as by darktable-cli": ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .gpr .iiq "
+    ".kdc .mef .mos .mrw .nef .nrw .orf .ori .pef .raf .raw .rw2 .rwl .sr2 .srf .srw .x3f",
+    "make frames of it, as by ffmpeg -i FILM frames/%05d.png, and give --sequence": ".3gp .360 "
+    ".avi .flv .hevc .insv .m2ts .m4v .mkv .mov .mp4 .mpeg .mpg .mts .mxf .ts .vob .webm .wmv",
+}
+_OF_DISKS = ("@eaDir", "@Recycle", "@Recently-Snapshot", "@tmp")  # folders of network disks
+
+Exclude = Iterable[str | Path | None]
+
+
+def pictures_in(source: Path, exclude: Exclude = ()) -> list[Path]:
+    """The pictures in a folder and its subfolders, in the order of their names; or a picture.
+
+    Raises:
+        ValueError: if there are none.
+        OSError: if there is no such file or folder.
+    """
+    if cure := cure_of(source.suffix):
+        raise ValueError(f"{source}: {cure}")
+    paths = [source]
+    if not source.is_file():
+        paths = sorted(filter(holds_picture, _inside(source, exclude, PICTURE_ENDINGS)))
+    if not paths:
+        unread = left_out(source, exclude)
+        got = f"{', '.join(PICTURE_ENDINGS)}{unread and f'; there are {unread}'}"
+        raise ValueError(f"no pictures in {source}: expected {got}")
+    return paths
+
+
+def left_out(source: Path, exclude: Exclude = ()) -> str:
+    """Numbers and cures of pictures in formats that are not read, in words."""
+    endings = tuple(" ".join(_UNREAD.values()).split())
+    paths = _inside(source, exclude, endings) if source.is_dir() else ()
+    counts = Counter(path.suffix.lower() for path in paths)
+    return "; ".join(f"{n} {end}: {cure_of(end)}" for end, n in sorted(counts.items()))
+
+
+def cure_of(end: str) -> str:
+    """Cure for files whose names end so; "" where they can be read."""
+    return next((cure for cure, ends in _UNREAD.items() if end.lower() in ends.split()), "")
+
+
+def _inside(folder: Path, exclude: Exclude, endings: tuple[str, ...]) -> Iterator[Path]:
+    excluded = (os.path.realpath(place) for place in exclude if place is not None)
+    manifest = manifest_of(folder) or {"files": ()}
+    written = {folder / name for name in manifest["files"]}
+    for path in _files(folder, folder.iterdir(), frozenset(excluded)):
+        if path.suffix.lower() in endings and path not in written and record_of(path) is None:
+            yield path
+
+
+def _files(folder: Path, paths: Iterable[Path], excluded: frozenset[str]) -> Iterator[Path]:
+    """Files of the paths in a folder and of its subfolders, but for excluded ones, those of runs,
+    and names that begin with a dot. A link is followed, unless to a folder that it lies in.
+    """
+    excluded |= {os.path.realpath(folder)}
+    for path in paths:
+        if path.name.startswith(".") or path.name in _OF_DISKS:
+            continue
+        if not path.is_dir():
+            yield path
+        elif os.path.realpath(path) not in excluded and manifest_of(path) is None:
+            with suppress(PermissionError):  # such as lost+found of a disk
+                inner = [*path.iterdir()]
+                yield from _files(path, inner, excluded)

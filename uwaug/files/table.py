@@ -1,0 +1,382 @@
+"""The table that a run reads: a row for each picture, with its map, labels, split and film."""
+
+import csv
+import io
+import itertools
+import math
+import os
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from uwaug._support.atomic import read_text, write_whole
+from uwaug.files import formats
+from uwaug.files.pictures import ENDINGS, MAP_ENDINGS
+from uwaug.files.search import Exclude, pictures_in
+
+SPLITS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
+
+_LABEL_ENDINGS = (*formats.ENDINGS, *formats.OTHERS)  # the latter are refused with a cure
+_FIELD = re.compile(r"\{(\w*)\}")
+_NUMBER = re.compile(r"(\d+\.\d{3,}|\d+)")  # a whole one, or a time in seconds
+
+
+class Row(NamedTuple):
+    """A picture of a run, and what belongs to it.
+
+    Attributes:
+        name: path of the result below the folder of the run; its end is the format. Random numbers
+            follow from it.
+        picture: file of the picture.
+        distance: file of its distances; None unless the transform needs none.
+        labels: file of its labels, or a COCO file that labels others, too; None for a background.
+        split: "train", "val" or "test"; or "".
+        film: name of the film that it is a frame of, with one draw for all; "" without one.
+        time: when the frame was taken, in any unit; None: the frames follow as the rows do. Frames
+            of one time are of the cameras of a rig.
+    """
+
+    name: str
+    picture: Path
+    distance: Path | None = None
+    labels: Path | None = None
+    split: str = ""
+    film: str = ""
+    time: float | None = None
+
+
+def read_table(path: str | Path) -> list[Row]:
+    """Read the table of a run from a CSV file.
+
+    Args:
+        path: a file with commas or semicolons. Its first line names the columns, in any order:
+            picture (or file_name), and the others of `Row`, which may be empty or absent. Paths
+            are relative to the file. Other columns are left alone. Without a name, it is the
+            picture's path below the file's folder, else below the folder that holds all pictures.
+
+    Raises:
+        ValueError: if it is no such table; the error names the line.
+        OSError: if it cannot be read.
+    """
+    path = Path(path)
+    text = read_text(path)
+    first = text.partition("\n")[0]
+    mark = ";" if first.count(";") > first.count(",") else ","
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True)
+    try:
+        lines = [(reader.line_num, cells) for cells in reader if any(cells)]
+    except csv.Error as error:
+        raise ValueError(f"{path}: line {reader.line_num} is no line of CSV: {error}") from None
+    header = [cell.strip().lower() for cell in lines[0][1]] if lines else []
+    if "picture" not in header and "file_name" in header:
+        header[header.index("file_name")] = "picture"
+    if "picture" not in header:
+        raise ValueError(f"{path}: no column is called picture, got {', '.join(header)}")
+    folder, rows = path.parent, []
+    for number, cells in lines[1:]:
+        try:
+            rows.append(_row(header, cells, folder))
+        except ValueError as error:
+            raise ValueError(f"{path}: line {number}: {error}") from None
+    if not rows:
+        raise ValueError(f"{path}: holds no rows")
+    names = _names([row.picture for row in rows], folder)
+    return [row if row.name else row._replace(name=n) for row, n in zip(rows, names, strict=True)]
+
+
+def write_table(path: str | Path, rows: Sequence[Row]) -> None:
+    """Write the table of a run as a CSV file, whole or not at all, with paths relative to it."""
+    path = Path(path)
+    folder = os.path.realpath(path.parent)
+    write_whole(path, as_csv(rows, folder).encode(errors="backslashreplace"))
+
+
+def as_csv(rows: Sequence[Row], folder: str | None = None) -> str:
+    """A table as CSV, with paths as they are, or relative to a folder."""
+
+    def cell(value: str | Path | float | None) -> str | int | float | None:
+        if isinstance(value, Path):
+            return value.as_posix() if folder is None else _relative(value, folder)
+        return int(value) if isinstance(value, float) and value.is_integer() else value
+
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(Row._fields)
+    writer.writerows(map(cell, row) for row in rows)
+    return text.getvalue()
+
+
+def propose(
+    source: str | Path,
+    distance: str | Path | None = None,
+    labels: str | Path | None = None,
+    *,
+    sequence: bool = False,
+    exclude: Exclude = (),
+) -> list[Row]:
+    """Propose the table of a folder of pictures.
+
+    The map and the labels of a picture have its path below the folder, with another ending. Names
+    must be equal, but for the case of the ending and the Unicode form of accents. The split is that
+    of the folder, in the picture's path, that is called train, val, valid or test.
+
+    Args:
+        source: a folder of PNG, JPEG, TIFF and EXR files, searched with its subfolders; or a
+            picture. What a run has written is left out.
+        distance, labels: a folder; or a file for all pictures; or a pattern, a path with {stem},
+            the picture's name without its ending, {folder}, that of the picture below `source`, or
+            {split}: "depth/{folder}/{stem}_z.png". As all paths, it begins where the process is.
+        sequence: the pictures of a folder are the frames of one film. Their times are the number
+            that varies in their names, else their order.
+        exclude: folders whose files are no pictures, such as that of the run.
+
+    Raises:
+        ValueError: if there are no pictures; if none has a map, or labels; or two have the same.
+        OSError: if there is no such file or folder.
+    """
+    source = Path(source)
+    paths = pictures_in(source, [*exclude, distance, labels])
+    folder = source.parent if source.is_file() else source
+    files = _Files()
+    map_of = _finder("distance", distance, MAP_ENDINGS, files)
+    labels_of = _finder("labels", labels, _LABEL_ENDINGS, files)
+    rows = []
+    for path in paths:
+        place = path.relative_to(folder)
+        split = next((part for part in reversed(path.parts[:-1]) if part in SPLITS), "")
+        shown = os.fsencode(place.as_posix()).decode(errors="backslashreplace")
+        film = os.path.dirname(shown) or "." if sequence else ""
+        found = map_of(path, place, split), labels_of(path, place, split)
+        rows.append(Row(shown, path, *found, SPLITS.get(split, ""), film))
+    # files beside the pictures, but for an EXR that holds its own distances
+    taken = set()
+    for row in rows:
+        for file in (row.distance, row.labels):
+            if file is not None and file != row.picture:
+                taken.add(os.path.abspath(file))
+    rows = [row for row in rows if os.path.abspath(row.picture) not in taken]
+    _require_found("distance", distance, rows, MAP_ENDINGS)
+    _require_found("labels", labels, rows, _LABEL_ENDINGS)
+    return _timed(rows) if sequence else rows
+
+
+def require_rows(rows: Sequence[Row], *, with_maps: bool = False) -> None:
+    """Refuse a table with a name twice or none that a result can have, with files that are not
+    there, or with a map or labels of one picture that are of another picture, too; and without a
+    map for each picture, if `with_maps`.
+    """
+    counts = Counter(row.name for row in rows)
+    if twice := [name for name, count in counts.items() if count > 1]:
+        raise ValueError(f"name: two rows are called {twice[0]}: write another in the column name")
+    for name in counts:
+        parts = name.split("/")
+        if ".." in parts or "" in parts or os.path.splitext(name)[1].lower() not in ENDINGS:
+            expected = f"a path below the folder of the run, ending in {', '.join(ENDINGS)}"
+            raise ValueError(f"name: expected {expected}, got {name}")
+    for column in ("picture", "distance", "labels"):
+        files = {file: row for row in rows if (file := getattr(row, column)) is not None}
+        if absent := [file for file in files if not file.is_file()]:
+            got = f"{len(absent)} of its files are not there, such as {absent[0]}"
+            raise ValueError(f"column {column}: {got} of {files[absent[0]].name}")
+    bare = [row.name for row in rows if row.distance is None]
+    if bare and with_maps:
+        got = f"{len(bare)} of {len(rows)} pictures have no map, such as {bare[0]}"
+        cure = "write it in the column distance of a table (.csv), or give --distance"
+        raise ValueError(f"distance is missing: {got}: {cure} metres, or made-up (MadeUp())")
+    for column in ("distance", "labels"):
+        _require_own(column, rows)
+
+
+def in_words(rows: Sequence[Row]) -> str:
+    """How many pictures, maps, labels, splits and films a table has."""
+    words = [f"{len(rows)} pictures"]
+    for column, what in (("distance", "maps"), ("labels", "labels")):
+        bare = [row.name for row in rows if getattr(row, column) is None]
+        if len(bare) < len(rows):
+            rest = f", {len(bare)} have none: {_listed(bare)}" if bare else ""
+            words.append(f"{len(rows) - len(bare)} have {what}{rest}")
+    splits = Counter(row.split for row in rows)
+    if splits.keys() - {""}:
+        words.append(", ".join(f"{n} are of {split or 'no split'}" for split, n in splits.items()))
+    if films := {row.film for row in rows} - {""}:
+        words.append("1 film" if len(films) == 1 else f"{len(films)} films, each in its own water")
+    wet = [
+        f"{split} is wet: {splits[split]} pictures" for split in ("val", "test") if splits[split]
+    ]
+    return "\n".join(["; ".join(words), *wet])
+
+
+def absolute(file: Path) -> Path:
+    """The absolute path of a file, by folders that are no links."""
+    return Path(os.path.realpath(file.parent), file.name)
+
+
+def normal(name: str) -> str:
+    """The normal form of a file's name, by which names are compared: accents are composed, and the
+    ending is in small letters.
+    """
+    stem, end = os.path.splitext(unicodedata.normalize("NFC", name))
+    return f"{stem}{end.lower()}"
+
+
+class _Files:
+    """Files by their names in normal form; each folder is listed once."""
+
+    def __init__(self) -> None:
+        self._listings: dict[Path, dict[str, Path]] = {}
+
+    def at(self, path: Path) -> Path | None:
+        """The file at a path; None without one."""
+        listing = self._listing(path.parent)
+        file = listing.get(path.name) or listing.get(normal(path.name))
+        return file if file is not None and file.is_file() else None
+
+    def _listing(self, folder: Path) -> dict[str, Path]:
+        if folder not in self._listings:
+            there = folder
+            if not folder.is_dir() and folder.parent != folder:
+                there = self._listing(folder.parent).get(normal(folder.name), folder)
+            files = sorted(there.iterdir()) if there.is_dir() else []
+            exact = {file.name: file for file in files}
+            self._listings[folder] = {normal(name): file for name, file in exact.items()} | exact
+        return self._listings[folder]
+
+
+def _finder(
+    column: str, given: str | Path | None, endings: Sequence[str], files: _Files
+) -> Callable[[Path, Path, str], Path | None]:
+    """A function that gives the file of a picture, by its path, its path below the folder of
+    pictures, and the folder that its split is named by.
+    """
+    if given is None:
+        return lambda path, place, split: None
+    fields, pattern = _FIELD.findall(str(given)), Path(given)
+    if unknown := {*fields} - {"stem", "folder", "split"}:
+        expected = "expected {stem}, {folder} or {split}"
+        raise ValueError(f"{column}: {given} has {{{min(unknown)}}}: {expected}")
+    if not fields and not pattern.is_dir():
+        pattern.stat()
+        return lambda path, place, split: pattern
+
+    def file_of(path: Path, place: Path, split: str) -> Path | None:
+        if fields:
+            values = {"stem": place.stem, "folder": str(place.parent), "split": split}
+            bases = [_FIELD.sub(lambda match: values[match[1]], str(given))]
+        else:
+            bases = [f"{pattern / place.with_suffix('')}{end}" for end in endings]
+        found = [file for base in bases if (file := files.at(Path(base))) is not None]
+        if column == "labels" or path.suffix.lower() != ".exr":  # which may be its own map
+            found = [file for file in found if not file.samefile(path)]
+        if len(found) > 1:
+            got = f"{path} may have {found[0]} or {found[1]}"
+            raise ValueError(f"{column}: {got}: give a pattern, such as {pattern}/{{stem}}.png")
+        return found[0] if found else None
+
+    return file_of
+
+
+def _require_found(
+    column: str, given: str | Path | None, rows: Sequence[Row], endings: Sequence[str]
+) -> None:
+    """Refuse a folder or a pattern by which no picture has a file, or two have the same."""
+    if given is None:
+        return
+    files = [getattr(row, column) for row in rows]
+    if not any(files):
+        folder = Path(_FIELD.split(str(given))[0])
+        folder = folder if folder.is_dir() else folder.parent
+        ends = Counter(file.suffix for file in folder.rglob("*.*") if file.is_file())
+        there = "".join(f"; found {n} files ending in {end}" for end, n in ends.most_common(1))
+        expected = Path(given, rows[0].name).with_suffix("") if Path(given).is_dir() else given
+        got = f"{given} has a file for no picture: expected such as {expected}, ending in"
+        cure = f"give a pattern with {{stem}}, or a table (.csv) with a column {column}"
+        raise ValueError(f"{column}: {got} {', '.join(endings)}{there}: {cure}")
+    if "{stem}" in str(given) or Path(given).is_dir():
+        takers: dict[Path, str] = {}
+        for row, file in zip(rows, files, strict=True):
+            if file is not None and takers.setdefault(file, row.name) != row.name:
+                got = f"{file} may be of {takers[file]} or {row.name}"
+                raise ValueError(f"{column}: {got}: write a table with the column {column}")
+
+
+def _require_own(column: str, rows: Sequence[Row]) -> None:
+    """Refuse files that several rows name, but not all, and that are not of one film."""
+    takers: dict[str, list[Row]] = {}
+    for row in rows:
+        if (file := getattr(row, column)) is not None and file.suffix.lower() != ".json":
+            takers.setdefault(os.path.realpath(file), []).append(row)
+    for file, those in takers.items():
+        is_of_all = len(those) == len(rows)
+        is_of_film = len({row.film for row in those}) == 1 and those[0].film
+        pictures = {os.path.realpath(row.picture) for row in those}
+        if len(pictures) > 1 and not is_of_all and not is_of_film:
+            got = f"{file} is of {those[0].name} and {those[1].name}"
+            raise ValueError(f"column {column}: {got}, but neither of all rows nor of one film")
+
+
+def _row(header: Sequence[str], cells: Sequence[str], folder: Path) -> Row:
+    if len(cells) != len(header):
+        raise ValueError(f"has {len(cells)} cells and the first line {len(header)}")
+    texts = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
+    if not texts["picture"]:
+        raise ValueError("picture is empty")
+    distance, labels = (folder / texts[n] if texts.get(n) else None for n in ("distance", "labels"))
+    split, time = texts.get("split", ""), texts.get("time", "")
+    if split and split not in SPLITS:
+        raise ValueError(f"split must be one of {', '.join(SPLITS)}, got {split}")
+    try:
+        moment = float(time) if time else None
+    except ValueError:
+        moment = math.nan
+    if moment is not None and not math.isfinite(moment):
+        raise ValueError(f"time must be a number, got {time}")
+    name, film, picture = texts.get("name", ""), texts.get("film", ""), folder / texts["picture"]
+    return Row(name, picture, distance, labels, SPLITS.get(split, ""), film, moment)
+
+
+def _names(pictures: Sequence[Path], folder: Path) -> list[str]:
+    """Paths of pictures below a folder; if not all are, below the folder that holds all."""
+    root, paths = Path(os.path.realpath(folder)), [*map(absolute, pictures)]
+    if not all(path.is_relative_to(root) for path in paths):
+        root = Path(os.path.commonpath([path.parent for path in paths]))
+    return [path.relative_to(root).as_posix() for path in paths]
+
+
+def _relative(file: Path, folder: str) -> str:
+    try:
+        return Path(os.path.relpath(absolute(file), folder)).as_posix()
+    except ValueError:  # on another drive of Windows
+        return absolute(file).as_posix()
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:2])}{' and others' * (len(names) > 2)}"
+
+
+def _timed(rows: Sequence[Row]) -> list[Row]:
+    """Frames of films, in the order of their times."""
+    films: dict[str, list[Row]] = {}
+    for row in rows:
+        films.setdefault(row.film, []).append(row)
+    timed = []
+    for film in films.values():
+        frames = sorted(film, key=lambda row: _split(row.picture.stem))
+        parts = [_split(row.picture.stem) for row in frames]
+        columns = [{*column} for column in itertools.zip_longest(*parts)]
+        varied = [place for place, column in enumerate(columns) if len(column) > 1]
+        times = [float(number) for number in range(len(frames))]
+        # every second part is a number
+        if len(varied) == 1 and varied[0] % 2 and len(columns[varied[0]]) == len(frames):
+            times = [float(part[varied[0]]) for part in parts]
+        timed += [row._replace(time=time) for row, time in zip(frames, times, strict=True)]
+    return timed
+
+
+def _split(name: str) -> list[str | float]:
+    """Words and numbers of a name in turn, by which 2.png comes before 10.png."""
+    parts: list[str | float] = [*_NUMBER.split(name)]
+    parts[1::2] = [float(part) for part in parts[1::2]]
+    return parts
