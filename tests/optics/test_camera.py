@@ -40,7 +40,10 @@ def test_copies_are_equal_and_still_read_only(clone):
     "response, message",
     [
         (np.ones((3, 4)), r"shape \(3, 3\).*got \(3, 4\)"),
-        ([[1, 1, 1], [np.nan, 1, np.inf], [1, 1, 1]], "must be finite and ≥ 0, got nan at 500 nm, and 2 of 9"),
+        (
+            [[1, 1, 1], [np.nan, 1, np.inf], [1, 1, 1]],
+            "must be finite and ≥ 0, got nan at 500 nm, and 2 of 9",
+        ),
         ([[0, 1, 0], [0, 1, 0], [0, 1, 0]], "no response in red and blue"),
     ],
 )

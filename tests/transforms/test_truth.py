@@ -51,8 +51,6 @@ def test_maps_and_gain_rebuild_the_picture(name: str, index: int) -> None:
     else:
         light, stored = light.clamp(0, 1), srgb_to_linear(degraded)
     assert (light - stored).abs().max() < 1e-3
-    if name == "lamps":
-        assert truth.coefficients is None
 
 
 GREY = {"color_matrix": None, "field": None}
@@ -82,24 +80,6 @@ def test_without_blur_signal_over_transmission_is_the_scene(even: bool) -> None:
     assert truth is not None
     torch.testing.assert_close(truth.signal / truth.transmission, truth.clean)
     assert bool((truth.direct < truth.transmission).all())
-
-
-def test_a_picture_without_blur_is_rebuilt_by_three_coefficients() -> None:
-    water = RandomWater("3C", g=1.0, color_matrix=None, field=None)
-    _, truth = made(water=water, light=None)
-    assert truth.coefficients is not None
-    assert all(0 < part < 1 for part in truth.coefficients.ambient)
-    torch.testing.assert_close(truth.direct, truth.transmission)
-    c = {
-        name: torch.tensor(numbers)[:, None, None]
-        for name, numbers in truth.coefficients._asdict().items()
-        if name != "rmse"
-    }
-    signal = c["ambient"] * truth.clean * torch.exp(-c["beta_d"] * truth.z)
-    veil = -c["b_inf"] * torch.expm1(-c["beta_b"] * truth.z)
-    error = torch.einsum("ij,jhw->ihw", truth.gain, signal + veil - truth.signal - truth.veil)
-    assert error.square().mean().sqrt() < 5e-3
-    assert float(error.square().mean().sqrt()) == pytest.approx(truth.coefficients.rmse, rel=0.01)
 
 
 def test_a_key_gives_its_record() -> None:

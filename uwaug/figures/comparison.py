@@ -22,13 +22,9 @@ def draw_comparison(
         scene: picture and distances.
         water: see `uwaug.load_water`.
         systems: see `uwaug.published.system`; by default all of `uwaug.published.systems` that know
-            the water, see `uwaug.published.takes_spectra`.
-        stretch: factor of all distances; below 1 it brings the scene nearer, where murky water
+            the water, see `uwaug.published.takes_spectra`. A ValueError if one does not.
+        stretch: factor > 0 of all distances; below 1 it brings the scene nearer, where murky water
             would leave nothing of it.
-
-    Raises:
-        ValueError: if a system or the water is unknown, or unknown to a system that is named, or
-            the stretch is not above 0.
     """
     checks.positive("stretch", stretch)
     spectra = load_water(water)
@@ -41,11 +37,11 @@ def draw_comparison(
     if stretch != 1:
         note = f"Distances times {stretch:g}. {scene.note}".rstrip()
         scene = replace(scene, distance=stretch * scene.distance, note=note)
-    own = in_waters([spectra], scene)(scene.image, scene.distance)
-    pictures = {"no water": scene.image, "uwaug": own}
+    image, z = scene.image, scene.distance
+    pictures = {"no water": image, "uwaug": in_waters([spectra], scene)(image, z)}
     for name in names:
         if name not in strangers:
-            pictures[name] = published.picture(name, scene.image, scene.distance, spectra)
+            pictures[name] = published.picture(name, image, z, spectra)
     cells = []
     for name, picture in pictures.items():
         mean = " ".join(f"{value:.2f}" for value in picture.double().mean((1, 2)).tolist())

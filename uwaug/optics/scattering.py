@@ -6,7 +6,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from uwaug._support import checks
 from uwaug._support.types import Array
 from uwaug.optics.constituents import pure_water
 
@@ -95,22 +94,6 @@ class Scattering:
         """
         return Scattering.of_table(*_petzold(station))
 
-    @staticmethod
-    def fournier_forand(n: float, slope: float) -> "Scattering":
-        """Of particles of all sizes, by the closed form of Fournier and Forand.
-
-        Args:
-            n: their refractive index relative to water, 1.01…1.35.
-            slope: of their number by size, a power law, 3.1…4.9. Petzold's average is about
-                n = 1.10 and 3.58.
-
-        Source: Fournier and Jonasz, Proc. SPIE 3761 (1999) 62; Mobley et al., Applied Optics 41
-        (2002) 1035.
-        """
-        checks.within("n", n, 1.01, 1.35)
-        checks.within("slope", slope, 3.1, 4.9)
-        return _of(_fournier_forand(_nodes(), n, slope))
-
 
 # For `PointSpread.calibrated` and a subject that fills the view. μ keeps the μ/g of the paper, so
 # that the veil stays below a white plate.
@@ -150,12 +133,3 @@ def _petzold(station: str | None) -> tuple[Array, Array]:
     cosine = np.cos(np.radians(degrees))
     water = b * 3 / (4 * np.pi) * (1 + 0.835 * cosine**2) / (3 + 0.835)  # Morel 1974
     return degrees, np.mean([(one.vsf - water) / (one.b - b) for one in harbour], axis=0)
-
-
-def _fournier_forand(angle: Array, n: float, slope: float) -> Array:
-    v, half = (3 - slope) / 2, np.sin(angle / 2) ** 2
-    delta, back = (4 / (3 * (n - 1) ** 2) * x for x in (half, 1.0))
-    ahead = v * (1 - delta) - (1 - delta**v) + (delta * (1 - delta**v) - v * (1 - delta)) / half
-    ahead /= 4 * np.pi * (1 - delta) ** 2 * delta**v
-    aside = (1 - back**v) / (16 * np.pi * (back - 1) * back**v)
-    return np.asarray(ahead + aside * (3 * np.cos(angle) ** 2 - 1))

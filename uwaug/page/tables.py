@@ -129,9 +129,13 @@ def _cue() -> dict[str, Any]:
 def _plan(plan: BlurPlan) -> dict[str, Any]:
     slope, offset = place_line(plan)
     nodes = zip(plan.sigmas, plan.cells, strict=True)
-    blurs = [_blur(sigma, cell, plan.reach) for sigma, cell in nodes if sigma > 0]
-    line = {"slope": slope, "offset": offset, "coefficients": plan.coefficients}
-    return {**line, "blurs": blurs, "margin": MARGIN}
+    return {
+        "slope": slope,
+        "offset": offset,
+        "coefficients": plan.coefficients,
+        "blurs": [_blur(sigma, cell, plan.reach) for sigma, cell in nodes if sigma > 0],
+        "margin": MARGIN,
+    }
 
 
 def _blur(sigma: float, cell: float, reach: float) -> dict[str, Any]:

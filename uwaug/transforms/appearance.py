@@ -44,7 +44,7 @@ def water_features(srgb: Values) -> dict[str, float]:
 
     side = max(2, min(srgb.shape[:2]) // _BLOCKS)
     lab = rgb2lab(srgb)
-    L, a, b = lab[..., 0], lab[..., 1], lab[..., 2]
+    L, a, b = np.moveaxis(lab, -1, 0)
     light = srgb_to_linear(torch.from_numpy(srgb.astype(np.float64))).numpy()
     mean, spread = light.reshape(-1, 3).mean(0) + 0.004, srgb.reshape(-1, 3).std(0) + 0.004
     veil = _veil(srgb, lab, side)
@@ -53,9 +53,7 @@ def water_features(srgb: Values) -> dict[str, float]:
         "a_mean": a.mean(),
         "b_mean": b.mean(),
         "chroma": np.hypot(a, b).mean(),
-        "veil_L": veil[0],
-        "veil_a": veil[1],
-        "veil_b": veil[2],
+        **dict(zip(("veil_L", "veil_a", "veil_b"), veil, strict=True)),
         "log_RG": np.log2(mean[0] / mean[1]),
         "log_BG": np.log2(mean[2] / mean[1]),
         "sd_RG": np.log2(spread[0] / spread[1]),
