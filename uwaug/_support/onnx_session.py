@@ -1,7 +1,7 @@
 """A session of ONNX Runtime for the processes of a DataLoader."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +21,9 @@ class Session:
     """
 
     def __init__(
-        self,
-        path: str | os.PathLike[str],
-        threads: int | None = 0,
-        *,
-        optimise: bool = True,
-        providers: Sequence[str] = ("CPUExecutionProvider",),
+        self, path: str | os.PathLike[str], threads: int | None = 0, *, optimise: bool = True
     ) -> None:
-        self.path, self.threads = Path(path), threads
-        self.optimise, self.providers = optimise, list(providers)
+        self.path, self.threads, self.optimise = Path(path), threads, optimise
         self._opened: Any = None
         self._process = os.getpid()
 
@@ -59,7 +53,7 @@ class Session:
         if not self.optimise:
             options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         try:
-            return ort.InferenceSession(str(self.path), options, providers=self.providers)
+            return ort.InferenceSession(str(self.path), options, providers=["CPUExecutionProvider"])
         except Exception as error:  # its exceptions have no common base
             reason = str(error).splitlines()[0]
             raise ValueError(f"{self.path}: ONNX Runtime cannot load it: {reason}") from error

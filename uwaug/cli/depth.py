@@ -23,7 +23,6 @@ def depth(
             metavar="PATH|NAME",
         ),
     ] = "depth-anything-v2-small",
-    revision: Annotated[str | None, typer.Option(help="Commit, branch or tag on the hub.")] = None,
     holds: Annotated[
         str,
         typer.Option(
@@ -60,7 +59,6 @@ def depth(
             multiple=multiple,
             mean=_colour("mean", mean),
             std=_colour("std", std),
-            revision=revision,
         )
         rows = propose(pictures, exclude=[out])
         if unread := left_out(pictures, [out]):

@@ -15,7 +15,7 @@ from uwaug._support import checks, codec
 from uwaug._support.nouns import Drawn
 from uwaug._support.ranges import Range
 from uwaug.distance import cue
-from uwaug.distance.sources import Placed, require_ends
+from uwaug.distance.sources import LEAST_NEAR_M, Placed, require_ends
 
 # How it was chosen, and what lost: benchmarks/CHOICES.md, "Made-up distances".
 
@@ -53,8 +53,7 @@ class MadeUp(Placed):
     cue: Literal["network", "ramp"] = "network"
 
     def __post_init__(self) -> None:
-        if require_ends(self.near, self.far) == 0:
-            raise ValueError(f"near must lie above 0 m, as its logarithm counts, got {self.near}")
+        require_ends(self.near, self.far, LEAST_NEAR_M)
         checks.one_of("cue", self.cue, ("network", "ramp"))
 
     def ranges(self) -> dict[str, Range | None]:

@@ -43,8 +43,6 @@ class Network(Source):
             four times as much at most.
         multiple: patch size, by which sides are divisible: 14 for Depth Anything, 32 for MiDaS.
         mean, std: the file gets (image − mean)/std of each channel, image in 0…1.
-        providers: ONNX Runtime's execution providers.
-        revision: commit, branch or tag of the hub; None: one that was tried, or the newest.
 
     Raises:
         FileNotFoundError: there is no such file, or the hub does not give it.
@@ -63,18 +61,13 @@ class Network(Source):
     multiple: int = 14
     mean: Sequence[float] = (0.485, 0.456, 0.406)
     std: Sequence[float] = (0.229, 0.224, 0.225)
-    providers: Sequence[str] = ("CPUExecutionProvider",)
-    revision: str | None = None
     _session: Session | None = field(init=False, repr=False, compare=False, default=None)
 
     def __post_init__(self) -> None:
         checks.instance("holds", self.holds, Source)
-        is_file = callable(self.model) or Path(self.model).is_file()
-        if self.revision is not None and is_file:
-            raise ValueError(f"revision is of files on the hub, got model {self.model}")
         checks.within("short_side", self.short_side, 1)
         checks.within("multiple", self.multiple, 1)
-        if not is_file:
+        if not callable(self.model) and not Path(self.model).is_file():
             _address_of(str(self.model))
 
     @property
@@ -82,9 +75,8 @@ class Network(Source):
         # the hub is asked here: a preset of a stranger fetches nothing
         if self._session is None:
             path = Path(cast(str, self.model))
-            path = path if path.is_file() else _fetched(str(self.model), self.revision)
-            session = Session(path, threads=None, providers=self.providers)
-            object.__setattr__(self, "_session", session)
+            path = path if path.is_file() else _fetched(str(self.model))
+            object.__setattr__(self, "_session", Session(path, threads=None))
         return cast(Session, self._session)
 
     @property
@@ -165,12 +157,11 @@ def _address_of(model: str) -> tuple[str, str]:
     return repository, file
 
 
-def _fetched(model: str, revision: str | None) -> Path:
-    repository, file = _address_of(model)
-    revision = revision or (_TRIED if model == _NAMED else None)
+def _fetched(model: str) -> Path:
     (hub,) = require("hub", "huggingface_hub")
+    address, revision = _address_of(model), _TRIED if model == _NAMED else None
     try:
-        return Path(hub.hf_hub_download(repository, file, revision=revision))
+        return Path(hub.hf_hub_download(*address, revision=revision))
     except Exception as error:  # of several libraries, without a common base
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise FileNotFoundError(f"{repository}:{file} could not be fetched: {reason}") from error
+        raise FileNotFoundError(f"{':'.join(address)} could not be fetched: {reason}") from error

@@ -32,10 +32,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from uwaug._support import checks
 from uwaug._support.codec import plain
 from uwaug._support.nouns import Noun, number
-from uwaug._support.ranges import Range, read_range
+from uwaug._support.ranges import Range, as_range, read_range
 from uwaug._support.types import Array
 from uwaug.optics.spectra import WAVELENGTHS, read_spectra
 
@@ -92,12 +91,11 @@ class Constituents(Noun):
 
     def __post_init__(self) -> None:
         for name, unit in UNITS.items():
-            value = getattr(self, name)
-            alone = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-            expected = f"a number ≥ 0 or (low, high) with 0 < low ≤ high, in {unit}"
-            low, high = checks.pair(name, (value, value) if alone else value, expected)
-            if not (0 < low <= high < math.inf or low == high == 0):
-                raise ValueError(f"{name} must be {expected}; got {value!r}")
+            low, high = as_range(name, getattr(self, name), 0.0, MAX_CONTENT, unit)
+            if low == 0 < high:  # its logarithm is drawn
+                raise ValueError(
+                    f"{name} must be 0 or lie above it, got a range from 0 to {high:g}"
+                )
             object.__setattr__(self, name, low if low == high else (low, high))
 
     @classmethod
