@@ -20,7 +20,7 @@ export function waterOf({ water, other, share, chlorophyll, cdom, minerals }, ta
 
 /** uwaug/optics/constituents.py: mg/m³, 1/m at 440 nm, g/m³. */
 function waterWith(chlorophyll, cdom, minerals, { pure, contents, bands, sun, lostByScattering }) {
-  const { at660, exponent } = contents.byPhytoplankton;
+  const [at660, exponent] = contents.byPhytoplankton;
   const slope = Math.min(Math.max((Math.log10(chlorophyll) - 0.3) / 2, -1), 0);
   const a = [], b = [], kd = [];
   for (let i = 0; i < bands.length; i++) {
@@ -231,7 +231,7 @@ export function waterTable(scene, settings, tables) {
   }
   const depth = depthShown(water, settings.vertical_depth, tables);
   const medium = mediumOf(water, { ...settings, vertical_depth: depth }, tables);
-  const { plan } = tables, { exponent, scale: perPixel, least, most } = tables.law, size = scene.K + 21;
+  const { plan } = tables, { exponent, scale: perPixel, ends: [least, most] } = tables.law, size = scene.K + 21;
   const table = new Float32Array((ENTRIES + 2) * size), row = new Float64Array(size);
   const width = perPixel * settings.blur * scene.width;
   for (let entry = 0; entry <= ENTRIES; entry++) {
@@ -347,7 +347,7 @@ function standardNormals() {
  * `exact` (3 floats a pixel) gets the light after the gamut, before tone and bytes.
  */
 export function form(scene, { table, rise }, gain, { gamut, tone, full_well: well, read_noise: read }, { step = 1, terms, exact }, tables) {
-  const { light, stack, place, K } = scene, size = K + 21, B = K - 1, { from } = tables.tone, beyondFrom = 1 - from;
+  const { light, stack, place, K } = scene, size = K + 21, B = K - 1, from = tables.vividFrom, beyondFrom = 1 - from;
   const width = Math.ceil(scene.width / step), height = Math.ceil(scene.height / step);
   const shown = new Uint8ClampedArray(4 * width * height), bytes = bytesOf(tone, tables.tone);
   const noise = well > 0 ? standardNormals() : null, dark = (read / well) ** 2;
