@@ -97,7 +97,7 @@ def test_systems_are_compared_in_one_water(shown, small):
 def test_a_water_of_spectra_is_drawn_by_all_that_take_spectra(shown, small):
     comparison.draw_comparison(small, "chlorophyll=2")
     assert {*published.systems()} - {*shown} == {"li-2020", "slurpp-2025"}
-    with pytest.raises(ValueError, match="water must be one of I, .*'chlorophyll=2"):
+    with pytest.raises(ValueError, match=r"water must be one of I, .*'chlorophyll=2"):
         comparison.draw_comparison(small, "chlorophyll=2", ["hou-2020", "UWCNN"])
 
 

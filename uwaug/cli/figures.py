@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uwaug.cli.choices import Distance, Force, Holes, Picture, Preset, Unit, Water, read_scene
 from uwaug.cli import console
-from uwaug.cli.console import print_written, reported_errors, status
+from uwaug.cli.choices import Distance, Force, Holes, Picture, Preset, Unit, Water, read_scene
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -52,7 +51,7 @@ def plot(
             return water_case(load_water(water or "1C"), scene)
         return preset_case(preset, load_preset(preset, water=water))
 
-    with reported_errors():
+    with console.reported_errors():
         scene = read_scene(picture, distance, unit, holes)
     _draw_into(out, scene, case, force)
     if scene.note:
@@ -69,8 +68,8 @@ def compare(
     system: Annotated[
         list[str] | None,
         typer.Option(
-            help="Published system; repeat it for more. By default all that know the water: li-2020 "
-            "(UWCNN) and slurpp-2025 know Jerlov types alone."
+            help="Published system; repeat it for more. By default all that know the water: "
+            "li-2020 (UWCNN) and slurpp-2025 know Jerlov types alone."
         ),
     ] = None,
     force: Force = False,
@@ -80,11 +79,11 @@ def compare(
     from uwaug.figures.comparison import draw_comparison
     from uwaug.figures.sheet import save
 
-    with reported_errors(), status() as say:
+    with console.reported_errors(), console.status() as say:
         scene = read_scene(picture, distance, unit, holes)
         say("computing the systems")
         save(draw_comparison(scene, water or "II", system or ()), out)
-    print_written(out)
+    console.print_written(out)
 
 
 def _draw_into(out: Path, scene: "Scene", case: "Callable[[Scene], Case]", force: bool) -> None:
@@ -103,11 +102,11 @@ def _draw_into(out: Path, scene: "Scene", case: "Callable[[Scene], Case]", force
             2, f"{out} holds other files, such as {names[0]}: choose an empty folder, or --force"
         )
     start = time.perf_counter()
-    with reported_errors(), status() as say:
+    with console.reported_errors(), console.status() as say:
         require("plot", "matplotlib")
         out.mkdir(parents=True, exist_ok=True)
         for path, draw in sheets.items():
             say(f"drawing {path.name}")
             save(draw(), path)
-    print_written(*sheets)
+    console.print_written(*sheets)
     print(f"{len(sheets)} pictures, {time.perf_counter() - start:.1f} s")
