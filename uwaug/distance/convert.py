@@ -53,10 +53,8 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
             is open water or sky; numbers, or tensors that broadcast against `inverse`.
 
     Returns:
-        Metres, shape of `inverse` (broadcast), NaN where unknown.
-
-    Raises:
-        ValueError: a map is constant or has no finite value, or `near`, `far` are out of range.
+        Metres, shape of `inverse` (broadcast), NaN where unknown. A ValueError if a map is constant
+        or has no finite value.
 
     Source: Ranftl et al. 2022, Towards robust monocular depth estimation.
 
@@ -73,7 +71,7 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
     largest = torch.where(finite, inverse, -torch.inf).amax((-2, -1), keepdim=True)
     flat = ~(largest > least)
     if bool(flat.any()):
-        got = f"{first_bad_map(flat)} that is constant or has no finite value"
+        got = f"{int(flat.sum())} of {flat.numel()} constant or without a finite value"
         raise ValueError(f"inverse must vary within each map, got {got}: scale before you crop")
     # halves, whose difference no pair of finite values can make infinite
     low = least / 2
@@ -148,10 +146,3 @@ def as_maps(name: str, x: Tensor) -> Tensor:
     if x.ndim < 2:
         raise ValueError(f"{name} must have shape (..., H, W), got {tuple(x.shape)}")
     return x.float() if x.dtype.itemsize < 4 else x
-
-
-def first_bad_map(bad: Tensor) -> str:
-    """Name the first map that `bad` marks, for an error."""
-    if bad.numel() == 1:
-        return "a map"
-    return f"map {int(bad.flatten().nonzero()[0])} of {bad.numel()}, counted from 0,"

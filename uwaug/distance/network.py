@@ -44,9 +44,6 @@ class Network(Source):
         multiple: patch size, by which sides are divisible: 14 for Depth Anything, 32 for MiDaS.
         mean, std: the file gets (image − mean)/std of each channel, image in 0…1.
 
-    Raises:
-        FileNotFoundError: there is no such file, or the hub does not give it.
-
     Examples:
         >>> network = Network("depth-anything-v2-small")  # doctest: +SKIP
         >>> distance = from_inverse(network(image), near=0.5, far=10.0)  # doctest: +SKIP
@@ -105,16 +102,8 @@ class Network(Source):
 
     @torch.no_grad()
     def __call__(self, image: Tensor) -> Tensor:
-        """Run the network on pictures, without gradients.
-
-        Args:
-            image: (B, 3, H, W) or (3, H, W), sRGB in [0, 1].
-
-        Returns:
-            (B, 1, H, W) or (1, H, W), on the device of `image`; what `holds` says.
-
-        Raises:
-            ValueError: `image` leaves [0, 1], or the file gives no map.
+        """Run the network without gradients, on pictures (Bx3xHxW or 3xHxW, sRGB in 0…1): maps
+        (Bx1xHxW or 1xHxW) of what `holds` says, on the device of `image`.
         """
         if callable(self.model):
             return self.model(image)

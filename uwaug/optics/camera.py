@@ -32,11 +32,7 @@ class Camera(Spectra):
             `uwaug.optics.surfaces` as they are.
 
     Attributes are the arguments, the arrays as read-only float64 copies. Between its wavelengths a
-    response is linear.
-
-    Raises:
-        TypeError, ValueError: if an array is no such spectrum, a channel responds to nothing, or
-            the matrix cannot be inverted or scaled.
+    response is linear. A ValueError if a channel responds to nothing.
 
     Examples:
         >>> Camera([450, 550, 600], [[0, 0, 1], [0, 1, 0], [1, 0, 0]], name="laser lines")
@@ -94,9 +90,6 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
             and punctuation; or the path of a CSV file (a string that ends in ``.csv``, or any path
             object) whose rows are wavelength [nm], R, G, B, separated by commas, with or without
             one header line.
-
-    Raises:
-        TypeError, ValueError: if it is none of these, or the file no such table (with the line).
 
     Source of the named cameras: Darrodi et al., *Reference data set for camera spectral sensitivity
     estimation*, JOSA A 32 (2015), measured at NPL, as packaged by colour-science (BSD-3-Clause).

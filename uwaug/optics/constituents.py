@@ -74,9 +74,6 @@ class Constituents(Noun):
     Args:
         chlorophyll, cdom, minerals: amounts, see `Water.from_constituents`.
 
-    Raises:
-        TypeError, ValueError: if one is no number ≥ 0, and no range that rises from above 0.
-
     Examples:
         >>> lakes = Constituents(chlorophyll=(1, 50), cdom=(0.2, 5), minerals=1)
         >>> lakes.name

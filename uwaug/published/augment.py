@@ -38,9 +38,6 @@ def augment(
         keys: keys of image and distance (metres) in a dict.
         options: arguments of the system, such as `water`.
 
-    Raises:
-        TypeError, ValueError: if there is no such name or argument; lists all.
-
     Examples:
         >>> import torch, uwaug
         >>> transform = uwaug.published.augment("li-2020", water="7C")

@@ -112,11 +112,7 @@ def systems() -> list[str]:
 
 
 def system(name: str) -> Callable[..., Tensor]:
-    """Function of a published system, by its name, or by another: "UWCNN" is "li-2020".
-
-    Raises:
-        ValueError: if the name is unknown; lists all names.
-    """
+    """Function of a published system, by its name, or by another: "UWCNN" is "li-2020"."""
     own = {other.lower(): name for other, name in OTHER_NAMES.items()}
     name = own.get(name.lower(), name)
     checks.one_of("system", name, (*systems(), *OTHER_NAMES))

@@ -39,8 +39,8 @@ class KeepVisible(SampleTransform):
         "contrast" (N, float32), 0 of objects with no pixel in the picture.
 
     Raises:
-        TypeError, ValueError: as `augment`; if there is not one such dict; if an entry has another
-            number of rows, or as many and no name here; if boxes are no corners in px.
+        ValueError: if there is not one such dict; if an entry has another number of rows, or as
+            many and no name here; if boxes are no corners in px.
 
     Examples:
         >>> import torch
