@@ -1,26 +1,20 @@
 """Files that are written whole or not at all, and read only where they are files."""
 
 import os
-import re
 import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-_PART = re.compile(r"\.uwaug-[0-9a-f]{16}\.part")
+_PARTS = f".uwaug-{'[0-9a-f]' * 16}.part"  # that are being written, or left by killed processes
 _writing: set[str] = set()  # names of the parts that this process has begun and not ended
-
-
-def is_part(name: str) -> bool:
-    """True for the name of a file that is being written, or that a killed process has left."""
-    return _PART.fullmatch(name) is not None
 
 
 def remove_left(folder: Path) -> None:
     """Remove unfinished files from a folder, also those of other living processes."""
-    for path in folder.glob(".uwaug-*.part"):
-        if is_part(path.name) and path.name not in _writing:
+    for path in folder.glob(_PARTS):
+        if path.name not in _writing:
             with suppress(OSError):
                 path.unlink()
 
@@ -47,7 +41,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Open a context with a new file beside `path`, which takes its place at the end.
 
     A symbolic link stays, and its target is replaced. A file that exists keeps its mode. After any
-    exception the new file is removed. Only a process killed at once leaves it, see `is_part`.
+    exception the new file is removed. Only a process killed at once leaves it, see `remove_left`.
 
     Raises:
         OSError: if `path` is no regular file, or it or its folder cannot be written.

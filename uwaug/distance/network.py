@@ -71,9 +71,9 @@ class Network(Source):
     def _opened(self) -> Session:
         # the hub is asked here: a preset of a stranger fetches nothing
         if self._session is None:
-            path = Path(cast(str, self.model))
-            path = path if path.is_file() else _fetched(str(self.model))
-            object.__setattr__(self, "_session", Session(path, threads=None))
+            path, model = Path(str(self.model)), str(self.model)
+            session = Session(path if path.is_file() else _fetched(model), threads=None)
+            object.__setattr__(self, "_session", session)
         return cast(Session, self._session)
 
     @property
