@@ -9,7 +9,8 @@ from PIL import Image
 from uwaug.distance import Network, from_inverse
 from uwaug.files import propose, read_distance, read_picture
 
-PLAIN = [*"--mean 0 0 0 --std 1 1 1 --short-side 24 --multiple 1".split()]
+OPTIONS = "--mean 0 0 0 --std 1 1 1 --short-side 24 --multiple 1"
+PLAIN = OPTIONS.split()
 
 
 @pytest.fixture
