@@ -102,7 +102,7 @@ class UnderwaterLike(RandomUnderwater):
     ) -> None:
         super().__init__(water, **options)
         if not kept:
-            raise ValueError("kept must hold one draw at least, got none")
+            raise ValueError("kept: expected at least one, got none")
         self.kept, self.nearness = kept, nearness
         sample = super()._sample(Uniform(bytes(8)))
         for draws in self.kept:
@@ -300,7 +300,7 @@ def _small(name: str, tensors: Any, channels: int) -> list[tuple[Tensor, float]]
             copies = interpolate(values, size, mode="bilinear", antialias=True).clamp(0, 1)
         small += [(copy, scale) for copy in copies]
     if not small:
-        raise ValueError(f"{name} must hold one at least, got none")
+        raise ValueError(f"{name}: expected at least one, got none")
     return small
 
 
