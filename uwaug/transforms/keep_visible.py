@@ -79,8 +79,8 @@ class KeepVisible(SampleTransform):
         members = dict(enumerate(sample)) if isinstance(sample, (tuple, list)) else dict(sample)
         places = [place for place, member in members.items() if _has_objects(member)]
         if len(places) != 1:
-            expected = "expected one dict with 'boxes' or 'masks' in the sample"
-            raise ValueError(f"{expected}, got {len(places)}")
+            counted = f"found {len(places)}"
+            raise ValueError(f"expected one dict with 'boxes' or 'masks' in the sample, {counted}")
         return replaced(sample, places[0], self._visible(members[places[0]], contrast_map))
 
     def _visible(self, target: Mapping[str, Any], contrast_map: Tensor) -> Any:
