@@ -3,16 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from uwaug import (
-    Lamp,
-    Light,
-    Medium,
-    PointSpread,
-    Underwater,
-    Water,
-    load_preset,
-    published,
-)
+from uwaug import Lamp, Light, Medium, PointSpread, Underwater, Water, load_preset, published
 from uwaug.figures import comparison, demo
 from uwaug.figures.demo import preset_case, water_case
 from uwaug.figures.spectra import draw_spectra

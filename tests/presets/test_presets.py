@@ -283,7 +283,7 @@ def test_refusals_name_the_file_and_the_key(tmp_path, name, pattern, replacement
         ("tank-adjusted-2", {"water": "II"}, "holds coefficients, which no water replaces"),
         ("tank-adjusted-2", {"camera": "x"}, "holds coefficients, which no camera replaces"),
         ("survey", {"water": "11C"}, "water must be one of I, "),
-        ("survey", {"camera": "D90"}, "no camera is called"),
+        ("survey", {"camera": "D90"}, "camera must be one of"),
     ],
 )
 def test_arguments_that_are_refused(name, options, message):
