@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from uwaug._support.atomic import is_part, remove_left, require_regular, written_whole
+from uwaug._support.atomic import remove_left, require_regular, written_whole
 
 
 def write(path: Path, text: str = "new") -> Path:
@@ -61,7 +61,7 @@ def test_a_link_stays_and_its_target_is_replaced(tmp_path):
         assert [path.name for path in folder.iterdir()] == ["target"]
     circle = tmp_path / "circle"
     circle.symlink_to(circle)
-    with pytest.raises(OSError, match="no regular file"):
+    with pytest.raises(OSError, match="symbolic links"):
         write(circle)
 
 
@@ -76,7 +76,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path, make, linked):
         path.symlink_to("it")
     count = len(list(tmp_path.iterdir()))
     for refused in (write, require_regular):
-        with pytest.raises(OSError, match=r"path must be a file, but .* is (a folder|no regular)"):
+        with pytest.raises(OSError, match="path must be a regular file"):
             refused(path)
     after = path.stat()
     assert (after.st_ino, after.st_mode) == (before.st_ino, before.st_mode)
@@ -92,14 +92,14 @@ def test_nothing_is_left_after_an_exception(tmp_path, error):
     path.write_text("old")
     with pytest.raises(type(error)) as info, written_whole(path) as part:  # noqa: PT012
         part.write_text("half")
-        assert is_part(part.name)
+        remove_left(tmp_path)
+        assert part.exists()
         raise error
     if isinstance(error, OSError):
         assert "Full: " in str(info.value)
         assert str(path) in str(info.value)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
-    assert not is_part(path.name)
 
 
 def test_what_killed_processes_have_left_is_removed_and_no_part_of_this_one(tmp_path):

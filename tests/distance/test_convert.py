@@ -106,7 +106,7 @@ REFUSED = [
     (from_relative, (HALF, 1.0, INF), ENDS),
     (from_relative, (HALF, torch.tensor([1.0, NAN]).view(2, 1, 1), 3.0), ENDS),
     (from_relative, (HALF, 1.0, 2.0, 0.0), "gamma must be positive and finite, got 0"),
-    (from_inverse, (SAYS_NOTHING, 1.0, 2.0), "got map 1 of 3, counted from 0, that is const"),
+    (from_inverse, (SAYS_NOTHING, 1.0, 2.0), "vary within each map, got 1 of 3 const"),
     (from_inverse, (NAN * ONE, 1.0, 2.0), "inverse must vary within each map"),
     (from_inverse, (EYE, 0.0, 2.0), "must be 0 < near <= far"),
     (from_inverse, (EYE, INF, INF), "must be 0 < near <= far"),

@@ -135,7 +135,7 @@ def test_what_is_whole_is_returned_and_what_is_empty_refused() -> None:
     assert fill_unknown(z) is z
     assert fill_unknown(torch.zeros(0, 1, 4, 4)).shape == (0, 1, 4, 4)
     maps = torch.ones(3, 1, 4, 5).index_fill(0, torch.tensor(2), NAN)
-    with pytest.raises(ValueError, match="got map 2 of 3, counted from 0, without any"):
+    with pytest.raises(ValueError, match="distance must have a known pixel in each map"):
         fill_unknown(maps)
 
 

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 import uwaug
-from uwaug import fast
-from uwaug.distance import MadeUp, cue, made_up
+from uwaug.distance import MadeUp, cue
 
 SCENES = [k / 24 for k in range(24)]
 
@@ -84,16 +83,11 @@ def test_dtype_default_device_and_threads_change_nothing() -> None:
         torch.set_num_threads(threads)
 
 
-@pytest.mark.parametrize("size", [(1, 40), (61, 1), (57, 83)])
-@pytest.mark.parametrize("white", [255, 1])
-def test_without_numba_it_is_the_same(size, white, monkeypatch) -> None:
-    assert fast.load()
-    image = (255 * texture(*size)).byte() if white == 255 else texture(*size)
-    loops = [made(image, scene) for scene in SCENES[::12]]
-    monkeypatch.setenv("UWAUG_FAST", "0")
-    monkeypatch.setattr(made_up, "_compiled", None)  # it is not asked
-    for z, scene in zip(loops, SCENES[::12], strict=True):
-        torch.testing.assert_close(z, made(image, scene), rtol=1e-4, atol=0)
+@pytest.mark.parametrize("size", [(1, 40), (61, 1)])
+def test_a_picture_of_one_line_has_distances(size: tuple[int, int]) -> None:
+    z = made(texture(*size), SCENES[0])
+    assert z.shape == (1, *size)
+    assert bool((z > 0).all())
 
 
 def test_the_sky_is_open_water_in_three_of_four() -> None:

@@ -12,9 +12,9 @@ from scenes import rand
 from torch import Tensor
 
 from uwaug.distance import Network, from_inverse
-from uwaug.distance.network import NAMED
+from uwaug.distance.network import _ADDRESS, _TRIED
 
-SMALL = NAMED["depth-anything-v2-small"]
+SMALL = _ADDRESS, _TRIED
 
 
 def side_lengths(path, shape) -> str:
@@ -95,15 +95,14 @@ def hub(tmp_path, monkeypatch) -> list[Any]:
 
 
 @pytest.mark.parametrize(
-    "model, revision, expected",
+    "model, expected",
     [
-        ("depth-anything-v2-small", "v1", (*SMALL[0].split(":"), "v1")),
-        ("depth-anything-v2-small", None, (*SMALL[0].split(":"), SMALL[1])),
-        ("me/mine:a/b.onnx", None, ("me/mine", "a/b.onnx", None)),
+        ("depth-anything-v2-small", (*SMALL[0].split(":"), SMALL[1])),
+        ("me/mine:a/b.onnx", ("me/mine", "a/b.onnx", None)),
     ],
 )
-def test_files_of_the_hub(hub, model, revision, expected) -> None:
-    network = Network(model, revision=revision, short_side=28)
+def test_files_of_the_hub(hub, model, expected) -> None:
+    network = Network(model, short_side=28)
     assert not hub  # as a stranger's preset may name any
     assert network(torch.rand(3, 28, 42)).shape == (1, 28, 42)
     assert hub == [expected]
@@ -136,14 +135,11 @@ def test_says_what_to_install(tmp_path, monkeypatch, module) -> None:
 
 
 NO_ADDRESS = r"model must be an ONNX file, depth-anything-v2-small, or owner/name:file"
-NO_REVISION = "revision is of files on the hub, got model "
 REFUSED: list[tuple[Any, dict[str, Any], Tensor, str]] = [
     ("missing.onnx", {}, PICTURE, NO_ADDRESS),
     ("depth-anything-v3", {}, PICTURE, NO_ADDRESS),
     (ANY_SIDES, {"short_side": 0}, PICTURE, "short_side must be finite and ≥ 1, got 0"),
     (ANY_SIDES, {"multiple": 0}, PICTURE, "multiple must be finite and ≥ 1, got 0"),
-    (ANY_SIDES, {"revision": "v1"}, PICTURE, NO_REVISION),
-    (lambda picture: picture[:1], {"revision": "v1"}, PICTURE, NO_REVISION),
     ((1, 8, 8, 3), {}, PICTURE, r"must take \(1, 3, h, w\) of floating point, got"),
     ((1, 4, 8, 8), {}, PICTURE, r"must take \(1, 3, h, w\)"),
     (b"root:x:0:0", {}, PICTURE, "n.onnx: ONNX Runtime cannot load it"),

@@ -88,7 +88,7 @@ def metres(source: Any, given: Any) -> Callable[[], object]:
         (lambda: Metres("error", "no"), "planar must be true or false, got 'no'"),
         (lambda: Relative((1, 3), (2, 5)), "near must lie below far"),
         (lambda: Relative(1, 5, 0.0), "gamma must be"),
-        (lambda: Inverse((0.0, 1.0)), "near must lie above 0 m"),
+        (lambda: Inverse((0.0, 1.0)), "near must be a number or a range .* ≥ 1e-06 m"),
         (lambda: MadeUp(1, 5, "regions"), "cue must be one of network, ramp, got 'regions'"),
         (lambda: Plane((3.0, 1.0)), "distance must be"),
         (lambda: Plane(-1.0), "distance must be"),

@@ -126,7 +126,7 @@ def test_other_files_are_refused(tmp_path) -> None:
     os.mkfifo(tmp_path / "pipe.onnx")
     (tmp_path / "no.onnx").write_text("no model")
     for call in (read_metadata, OnnxUnderwater):
-        with pytest.raises(OSError, match=r"path must be a file, but .* is no regular file"):
+        with pytest.raises(OSError, match="path must be a regular file"):
             call(tmp_path / "pipe.onnx")
         with pytest.raises(ValueError, match="ONNX Runtime cannot load it"):
             call(tmp_path / "no.onnx")

@@ -102,7 +102,10 @@ def test_bad_csv(tmp_path, text, message):
     "call, message",
     [
         (lambda: toy(response=np.ones((3, 4))), r"shape \(3, 3\).*got \(3, 4\)"),
-        (lambda: toy(response=[[1] * 3, [np.nan, 1, np.inf], [1] * 3]), "2 NaN or infinite of 9"),
+        (
+            lambda: toy(response=[[1] * 3, [np.nan, 1, np.inf], [1] * 3]),
+            "got nan at 500 nm, and 2 of 9",
+        ),
         (lambda: toy(response=[[0, 1, 0]] * 3), "no response in red and blue"),
         (lambda: load_camera("Nikon D90"), "Nikon 5100"),
         (lambda: load_camera(5100), "5100"),

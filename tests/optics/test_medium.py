@@ -234,7 +234,7 @@ WATERS: list[tuple[Any, dict[str, Any], str]] = [
     ("II", {"vertical_depth": -1.0}, "vertical_depth.*-1"),
     ("II", {"g": 1.1}, r"g must.*\[0, 1\].*1.1"),
     ("II", {"tolerance": 1.0}, "tolerance.*1"),
-    ("II", {"camera": "Kodak"}, "no camera is called"),
+    ("II", {"camera": "Kodak"}, "camera must be one of .*Kodak"),
     ("II", {"surfaces": "matt"}, "surfaces must be one of grey, spectral"),
     ("sea", {}, r"water must be one of I, IA.*got 'sea'"),
     (Water([750, 800], a=[1, 1], b=[1, 1], kd=[1, 1]), {}, "no band of 400–700 nm"),

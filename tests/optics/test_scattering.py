@@ -1,6 +1,5 @@
 """Phase functions, and the g and μ that they come to."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ from uwaug import Scattering
 from uwaug.optics import scattering
 
 ANGLE = scattering._nodes()
-BACK = np.pi / 2 < ANGLE
 
 
 def henyey_greenstein(angle: np.ndarray, cosine: float) -> np.ndarray:
@@ -50,13 +48,6 @@ def test_petzold_sends_183_of_10000_back() -> None:
     assert coast.mu == pytest.approx(0.066, abs=0.01)
 
 
-def test_fournier_forand_of_petzold() -> None:
-    # Mobley et al. 2002: n = 1.10 and slope 3.5835 have Petzold's backscatter
-    found, petzold = Scattering.fournier_forand(1.10, 3.5835), Scattering.petzold()
-    assert found.g == pytest.approx(petzold.g, rel=0.1)
-    assert found.mu == pytest.approx(petzold.mu, rel=0.1)
-
-
 @pytest.mark.parametrize(
     "make, arguments, words",
     [
@@ -65,20 +56,9 @@ def test_fournier_forand_of_petzold() -> None:
         (Scattering.of_table, ([0.1, 90, 80, 180], [3, 2, 2, 1]), "angles must rise"),
         (Scattering.of_table, ([0.1, 90, 180], [3, 0, 1]), "values"),
         (Scattering.of_table, ([0.1, 1, 180], [1e4, 1, 1]), r"values.*θ\^-4"),
-        (Scattering.fournier_forand, (1.0, 3.6), "n must be"),
-        (Scattering.fournier_forand, (1.1, 5.0), "slope must be"),
         (Scattering.petzold, ("Atlantis",), "HAOCE 11"),
     ],
 )
 def test_what_is_refused(make: Any, arguments: tuple[Any, ...], words: str) -> None:
     with pytest.raises((ValueError, KeyError), match=words):
         make(*arguments)
-
-
-@pytest.mark.parametrize("n, slope", [(1.10, 3.5835), (1.05, 3.5), (1.3, 4.8)])
-def test_fournier_forand_sends_back_what_its_formula_says(n: float, slope: float) -> None:
-    shares = scattering._shares(scattering._fournier_forand(ANGLE, n, slope))
-    assert shares.sum() == pytest.approx(1, abs=1e-3)
-    v, delta = (3 - slope) / 2, 4 / (3 * (n - 1) ** 2) * math.sin(math.pi / 4) ** 2
-    back = 1 - (1 - delta ** (v + 1) - (1 - delta**v) / 2) / ((1 - delta) * delta**v)
-    assert shares[BACK].sum() == pytest.approx(back, rel=1e-3)

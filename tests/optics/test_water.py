@@ -186,20 +186,19 @@ TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8],
 
 
 @pytest.mark.parametrize(
-    "header, nm, metre",
+    "header",
     [
-        ("", 1, 1),
-        ("\ufeffwavelength, a, b, kd\r\n", 1, 1),
-        ("nm,Absorption,scattering,Kd(PAR)\n", 1, 1),
-        ("wavelength [nm],a [1/m],b (m^-1),K_d/m⁻¹\n", 1, 1),
-        ("λ/nm,a/cm⁻¹,b (cm−1),kd [ cm^{-1} ]\n", 1, 100),
-        ("wavelength_um,a 1/mm,b /mm,kd per mm\n", 1000, 1000),
-        ("Wavelength (µm),a [km-1],b [1/km],kd [/km]\n", 1000, 0.001),
-        ("microns,a,b,kd\n", 1000, 1),
+        "",
+        "\ufeffwavelength, a, b, kd\r\n",
+        "nm,Absorption,scattering,Kd\n",
+        '"wavelength","a","b","K_d"\n',
+        "wavelength [nm],a [1/m],b (m^-1),K_d/m⁻¹\n",
+        "λ/nm,a/m⁻¹,b (m−1),kd [ m^{-1} ]\n",
+        "wavelength_nm,a 1/m,b /m,kd\n",
     ],
 )
-def test_water_from_a_file(tmp_path: Path, header: str, nm: float, metre: float) -> None:
-    table = np.array([TANK.wavelengths / nm, *(getattr(TANK, n) / metre for n in ("a", "b", "kd"))])
+def test_water_from_a_file(tmp_path: Path, header: str) -> None:
+    table = np.array([TANK.wavelengths, *(getattr(TANK, name) for name in ("a", "b", "kd"))])
     text = header + "".join(",".join(map(repr, row)) + "\n" for row in table.T.tolist())
     path = tmp_path / "tank.csv"
     for separator, point in ((",", "."), (";", ","), ("\t", ",")):
@@ -226,11 +225,14 @@ def test_absorption_and_attenuation_are_enough(tmp_path: Path) -> None:
     "text, message",
     [
         ("nm,a [dB/m],b,kd\n" + ROWS, "a in another unit"),
+        ("nm,a [1/cm],b,kd\n" + ROWS, "a in another unit than 1/m"),
+        ("nm,a,b (km-1),kd\n" + ROWS, "b in another unit than 1/m"),
+        ("µm,a,b,kd\n.4,.5,1.3,.7\n", "in nm"),
         ("nm,a,b [cm],kd\n" + ROWS, "b in another unit"),
         ("nm,a,b,kd (%)\n" + ROWS, "K_d in another unit"),
         ("wavenumber [1/cm],a,b,kd\n" + ROWS, "wavelength in another unit"),
         ("site,Secchi [m]\n1,5\n", "line 1"),
-        ("nm,a,c\n400,.5,.4\n", "b has 1 negative"),
+        ("nm,a,c\n400,.5,.4\n", "b must be finite and ≥ 0, got -0.1"),
         ("nm,a,b,kd\n", "no rows"),
         ("nm,a,kd,b\n" + ROWS, "line 1"),
         ("nm,a,beta,kd\n" + ROWS, "line 1"),
@@ -276,8 +278,8 @@ WIDE = Water([250, 850], [1, 2], [1, 1], [1, 2])
         (lambda: toy(wavelengths=[0, 500, 600, 700]), "wavelengths.*0…700"),
         (lambda: toy(wavelengths="blue"), "wavelengths.*'blue'"),
         (lambda: toy(a=[0.1, 0.2]), "a.*shape"),
-        (lambda: toy(b=[np.inf, 1, 1, 1]), "b.*infinite of 4 values, at 400 nm"),
-        (lambda: toy(kd=[0.1, 0.2, -0.3, 0.4]), "kd.*1 negative of 4 values, at 600 nm"),
+        (lambda: toy(b=[np.inf, 1, 1, 1]), "b.*got inf at 400 nm, and 1 of 4"),
+        (lambda: toy(kd=[0.1, 0.2, -0.3, 0.4]), "kd.*got -0.3 at 600 nm, and 1 of 4"),
         (lambda: toy(kd=[0.1, 0.16, 0.3, 0.59]), "kd.*less at 500, 700 nm"),
         (lambda: toy(provenance="a note"), "provenance.*list of strings"),
         (lambda: toy().at([399, 500]), "399–500 nm is outside"),

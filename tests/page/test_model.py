@@ -145,6 +145,14 @@ def test_waters_are_those_of_the_package(page: Page, every_band: None) -> None:
         np.testing.assert_allclose(rows[1024, 18:], far, rtol=0, atol=1e-5)
 
 
+def test_contents_end_where_those_of_the_package_do(page: Page, every_band: None) -> None:
+    odd = {"water": "I", "share": 0.0, "contrast": 0.05, "times": 0.02}
+    settings = settings_of(np.random.default_rng(5)) | odd
+    page.use(settings)
+    _, scene = page.twin(settings)
+    assert page("water.contents") == scene.clarity.record()["contents"] == 2.0**12
+
+
 def test_pictures_are_those_of_the_package(page: Page, every_band: None) -> None:
     rng = np.random.default_rng(1)
     for _ in range(PICTURES):

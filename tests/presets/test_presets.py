@@ -233,7 +233,7 @@ ARGUMENTS: list[tuple[str, dict[str, Any], str]] = [
     ("tank-adjusted-2", {"water": "II"}, "holds coefficients, which no water replaces"),
     ("tank-adjusted-2", {"camera": "x"}, "holds coefficients, which no camera replaces"),
     ("survey", {"water": "11C"}, "water must be one of I, "),
-    ("survey", {"camera": "D90"}, "no camera is called"),
+    ("survey", {"camera": "D90"}, "camera must be one of"),
 ]
 
 
@@ -247,7 +247,7 @@ def test_refusals_name_the_file_and_the_key(tmp_path):
         with pytest.raises(ValueError, match=message):
             load_preset(name, **options)
     os.mkfifo(tmp_path / "pipe.toml")
-    with pytest.raises(OSError, match=r"path must be a file, but .* is no regular"):
+    with pytest.raises(OSError, match=r"path must be a regular file"):
         load_preset(tmp_path / "pipe.toml")
 
 

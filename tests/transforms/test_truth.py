@@ -43,8 +43,6 @@ def test_maps_and_gain_rebuild_the_picture(name: str) -> None:
     else:
         light, stored = light.clamp(0, 1), srgb_to_linear(degraded)
     assert (light - stored).abs().max() < 1e-3
-    if name == "lamps":
-        assert truth.coefficients is None
 
 
 GREY = {"color_matrix": None, "field": None}
@@ -74,24 +72,6 @@ def test_without_blur_signal_over_transmission_is_the_scene(even: bool) -> None:
     assert truth is not None
     torch.testing.assert_close(truth.signal / truth.transmission, truth.clean)
     assert bool((truth.direct < truth.transmission).all())
-
-
-def test_a_picture_without_blur_is_rebuilt_by_three_coefficients() -> None:
-    water = RandomWater("3C", g=1.0, color_matrix=None, field=None)
-    _, truth = made(water=water, light=None)
-    assert truth.coefficients is not None
-    assert all(0 < part < 1 for part in truth.coefficients.ambient)
-    torch.testing.assert_close(truth.direct, truth.transmission)
-    names = ("ambient", "beta_d", "b_inf", "beta_b")
-    ambient, beta_d, b_inf, beta_b = (
-        torch.tensor(getattr(truth.coefficients, name))[:, None, None] for name in names
-    )
-    signal = ambient * truth.clean * torch.exp(-beta_d * truth.z)
-    veil = -b_inf * torch.expm1(-beta_b * truth.z)
-    error = torch.einsum("ij,jhw->ihw", truth.gain, signal + veil - truth.signal - truth.veil)
-    rmse = float(error.square().mean().sqrt())
-    assert rmse < 5e-3
-    assert rmse == pytest.approx(truth.coefficients.rmse, rel=0.01)
 
 
 def test_numbers_can_be_written_and_a_picture_left_alone_has_none() -> None:

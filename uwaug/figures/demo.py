@@ -120,9 +120,8 @@ def draw_terms(scene: Scene, case: Case) -> Image.Image:
 def _distance(z: Tensor) -> Cell:
     near, far = extent(z[z.isfinite()])
     beyond = "" if bool(z.isfinite().all()) else ", open water"
-    return coloured(z, (near, max(far, near + 1e-3))), (
-        f"z   {near:.3g} m (yellow) to {far:.3g} m{beyond} (violet)"
-    )
+    words = f"z   {near:.3g} m (yellow) to {far:.3g} m{beyond} (violet)"
+    return coloured(z, (near, max(far, near + 1e-3))), words
 
 
 def _curves(medium: Medium, farthest: float) -> Tensor:

@@ -58,9 +58,6 @@ class MarineSnow(Seeded):
         drift: distances by which the particles have moved to the right, down and away from the
             camera, m: less its own motion. New ones enter at the side.
 
-    Raises:
-        TypeError, ValueError: if a value is no number, or outside its domain.
-
     Source: G. A. Jackson et al., Deep-Sea Research I 44, 1997: exponents of 2.96 to 3.00 by
     diameters in images, from 1 µm to 1 cm.
     """

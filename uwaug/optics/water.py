@@ -364,8 +364,8 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
             "chlorophyll=5,cdom=0.3,minerals=1" (see `Water.from_constituents`); or the path of a
             CSV file (a string that ends in ``.csv``, or any path object) whose rows are wavelength
             [nm], a, b, K_d [1/m], separated by commas or semicolons, with or without one header
-            line. A header may name other units, such as µm and 1/cm. A column c may
-            replace b, which is c − a. Without K_d, it follows from a and b.
+            line. A column c may replace b, which is c − a. Without K_d, it follows from a and
+            b.
 
     Raises:
         TypeError, ValueError: if it is none of these, or the file no such table (with the line).

@@ -62,7 +62,7 @@ MILDEST = 0.65
 # severest grade at 1 m
 MOST_CONTENTS = 50.0
 _LEAST_CONTENTS = 1e-3  # share of it that stays where pure water is too murky already
-_MOST_STOPS = 12.0  # by which contents are scaled, whatever is asked for
+MOST_STOPS = 12.0  # by which contents are scaled, whatever is asked for
 _HALVINGS = 13  # of stops that are looked for under lamps
 _WALL_PX = 192  # of a wall at the median distance, under lamps
 
@@ -381,7 +381,7 @@ def _contents(water: Water, contrast: float, metres: float) -> float:
     """Factor of what is in a water that leaves this contrast at a distance [m] by daylight, or the
     most: next to nothing is in type I.
     """
-    return min(water.contents_for(contrast, metres), math.exp2(_MOST_STOPS))
+    return min(water.contents_for(contrast, metres), math.exp2(MOST_STOPS))
 
 
 def _contents_under(
@@ -401,13 +401,13 @@ def _contents_under(
     rows = max(1, round(columns * size[0] / size[1]))
     wall = torch.full((1, rows, columns), measured.median, dtype=torch.float64)
     shown = view.crop(size, 0, 0).resized(columns / size[1])
-    low, high = -_MOST_STOPS, _MOST_STOPS
+    low, high = -MOST_STOPS, MOST_STOPS
     for _ in range(_HALVINGS):
         stops = (low + high) / 2
         medium, _depth = medium_of(water.with_contents(2.0**stops))
         left = contrast_left(wall, medium, light=light, view=shown).mean()
         low, high = (stops, high) if float(left) > contrast else (low, stops)
-    return 2.0**low if low > -_MOST_STOPS else 0.0
+    return 2.0**low if low > -MOST_STOPS else 0.0
 
 
 def _named(waters: Any) -> list[tuple[str, Water | Constituents | Medium]]:
