@@ -77,7 +77,7 @@ def test_in_pictures(way: str, water: str) -> None:
 
 def test_the_loops_form_it_too() -> None:
     medium = glowing(WATERS["spectral"])
-    degrade = Underwater(medium, None, development=Development("auto", saturation=1.2))
+    degrade = Underwater(medium, None, development=Development(metered=True, saturation=1.2))
     assert fast.can(IMAGE, DISTANCE, replace(degrade.setting, medium=medium))
     exact = degrade(IMAGE.double(), DISTANCE.double())
     torch.testing.assert_close(degrade(IMAGE, DISTANCE).double(), exact, rtol=0, atol=1e-5)
@@ -85,7 +85,7 @@ def test_the_loops_form_it_too() -> None:
 
 def test_the_meter_sees_it() -> None:
     J, z = IMAGE.double(), DISTANCE.double()
-    gains = [float(Development("auto").gain(J, z, m)) for m in (CLEAR, glowing(CLEAR))]
+    gains = [float(Development(metered=True).gain(J, z, m)) for m in (CLEAR, glowing(CLEAR))]
     assert gains[1] < 0.7 * gains[0]
 
 

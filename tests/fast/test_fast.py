@@ -80,7 +80,7 @@ def formed(degrade: Underwater, image: Tensor, z: Tensor, most: float, *field: T
 
 DEVELOPMENTS = {
     "none": Development(),
-    "metered": Development("auto"),
+    "metered": Development(metered=True),
     "stops": Development(-1.3),
     "white balance": Development(white_balance=0.7),
     "saturation": Development(saturation=1.7),
@@ -88,7 +88,7 @@ DEVELOPMENTS = {
     "more contrast": Development(tone=1.6),
     "less contrast": Development(tone=0.6),
     "all": Development(0.5, 0.6, 1.4, 0.8, 1.3, metered=True),
-    "noise": Development("auto", 0.6, tone=1.3, noise=Sensor(1000, seed=1)),
+    "noise": Development(0.0, 0.6, metered=True, tone=1.3, noise=Sensor(1000, seed=1)),
     "noise of all": Development(0.5, 0.6, 1.4, 0.8, 1.3, metered=True, noise=Sensor(1000, seed=1)),
 }
 SNOW = MarineSnow(3000, seed=7)
@@ -263,7 +263,7 @@ def test_further_terms_act_in_the_loops(lit: bool, surfaces: Any) -> None:
     plain = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(3.0, 0.8))
     own = OwnMedium(*plain.tensors())
     light = Light((Lamp(),), daylight=0.5) if lit else None
-    development = Development("auto", saturation=1.2, gamut=0.5)
+    development = Development(metered=True, saturation=1.2, gamut=0.5)
     pictures = []
     for medium in (own, plain):
         degrade = Underwater(medium, None, development=development, light=light)

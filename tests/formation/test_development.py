@@ -66,11 +66,6 @@ def test_stages(stage: str, medium: str, metered: bool) -> None:
     assert bool(np.abs(ours - plain).max() > 1e-3) >= changes, "a stage that does nothing"
 
 
-def test_auto_is_0_stops_metered() -> None:
-    assert Development("auto") == Development(0.0, metered=True)
-    assert Development(exposure="auto", tone=2.0) == Development(tone=2.0, metered=True)
-
-
 # ---- exposure
 
 
@@ -82,7 +77,7 @@ def test_metering_keeps_the_mean_luminance(depth: float) -> None:
         image, z = 0.7 * rand(1, 3, height, width) ** 2, 0.5 + 3 * rand(1, 1, height, width, seed=1)
         if period:
             image[..., ::period] = 0.0
-        after = developed(medium, image, z, exposure="auto")
+        after = developed(medium, image, z, metered=True)
         before, after = (float((WEIGHTS * x).sum(1).mean()) for x in (image, after))
         assert after == pytest.approx(before, rel=0.04)
 
@@ -113,13 +108,13 @@ def test_under_lamps_no_more_pixels_burn_out() -> None:
     medium = Medium.from_water("II", g=0.05)
     light = Light((Lamp((0.3, 0.0, 0.0), 9.0),), daylight=0.0)
     terms = form_image(image, z, medium, light=light).image
-    gain = Development("auto").gain(image, z, medium, light.curves(medium, z, WIDE))
+    gain = Development(metered=True).gain(image, z, medium, light.curves(medium, z, WIDE))
     after = exposed(terms, gain).amax(1)
     assert float((after > 1).double().mean()) == pytest.approx(BURNT, rel=0.2)
     # on a wall that is lit evenly, the mean luminance is kept
     image, z = 0.5 * rand(1, 3, 60, 80), torch.full((1, 1, 60, 80), 5.0).double()
     even = Light((Lamp((0.0, 0.0, -100.0), 1e4),), daylight=0.0)
-    gain = Development("auto").gain(image, z, CLEAR, even.curves(CLEAR, z, WIDE))
+    gain = Development(metered=True).gain(image, z, CLEAR, even.curves(CLEAR, z, WIDE))
     after = exposed(form_image(image, z, CLEAR, light=even).image, gain)
     before, after = (float((WEIGHTS * x).sum(1).mean()) for x in (image, after))
     assert after == pytest.approx(before, rel=0.02)
@@ -128,12 +123,12 @@ def test_under_lamps_no_more_pixels_burn_out() -> None:
 def test_the_gain_is_bounded() -> None:
     image, z = picture().double(), torch.full((1, 1, 32, 40), 3.0).double()
     bright = Medium.from_water("III", vertical_depth=10.0, mu=1.0, g=0.05)
-    development = Development("auto")
+    development = Development(metered=True)
     for depth, scene in ((300.0, image), (60.0, image), (60.0, 0 * image)):
         gain = development.gain(scene, z, Medium.from_water("1C", vertical_depth=depth))
         assert GAINS[0] <= float(gain) <= GAINS[1]
     black, almost = (
-        developed(bright, torch.full_like(image, v), z, exposure="auto").mean() for v in (0, 1e-6)
+        developed(bright, torch.full_like(image, v), z, metered=True).mean() for v in (0, 1e-6)
     )
     assert black == pytest.approx(float(almost), rel=1e-3)
 
@@ -262,7 +257,7 @@ DARK = Medium.from_water("3C", vertical_depth=50.0, g=0.0, mu=0.0, surfaces="spe
             for stage in ("gamut", "less contrast", "all")
             for colour in ((0, 0, 0), (1, 1, 1), (30, 0, 0), (-1, 0, -2))
         ],
-        ({"exposure": "auto"}, DARK, (1, 1, 1), 900.0),  # light underflows
+        ({"metered": True}, DARK, (1, 1, 1), 900.0),  # light underflows
         ({"white_balance": 0.5}, DARK, (1, 1, 1), 900.0),
     ],
 )

@@ -95,7 +95,6 @@ DOORS: list[tuple[Callable[..., Any], str, Any, str]] = [
     (Development, "gamut", 2.0, r"in \[0, 1\]"),
     (Development, "tone", 0.1, "0.1"),
     (Development, "noise", 8000, r"must be a uwaug\.Sensor, got int"),
-    (Development, "", {"exposure": "auto", "metered": False}, "exposure 'auto' is metered"),
     (lambda full_well: Development(noise=Sensor(full_well)), "full_well", 0, "≥ 1"),
     (lambda full_well: Development(noise=Sensor(full_well)), "full_well", (1e3, 2e3), "1000"),
     (lambda read_noise: Development(noise=Sensor(1e3, read_noise)), "read_noise", -1, "-1"),

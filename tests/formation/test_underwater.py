@@ -166,7 +166,7 @@ SETTINGS = {
     "unit of widths": Setting(coastal(point_spread=PointSpread(1.2, 0.8, unit="paper"))),
     "snow": Setting(WATER.with_snow(uwaug.MarineSnow(50_000, seed=2))),
     "light": Setting(WATER, uwaug.Light([uwaug.Lamp(power=2.0)], daylight=0.3, pitch=20.0)),
-    "development": Setting(WATER, development=uwaug.Development("auto", tone=1.3)),
+    "development": Setting(WATER, development=uwaug.Development(metered=True, tone=1.3)),
     "view": Setting(WATER, uwaug.Light(pitch=20.0), view=uwaug.View(20.0)),
     "color space": Setting(WATER, color_space="linear"),
 }
@@ -285,7 +285,7 @@ def test_compiles_for_every_size() -> None:
 
 
 def test_an_empty_picture() -> None:
-    for development in (uwaug.Development(), uwaug.Development("auto")):
+    for development in (uwaug.Development(), uwaug.Development(metered=True)):
         degrade: Any = Underwater(coastal(), development=development)
         for shape in ((0, 8, 8), (2, 0, 8)):
             empty = torch.zeros(shape[0], 3, *shape[1:])

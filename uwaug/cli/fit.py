@@ -81,16 +81,16 @@ def fit(
     with reported_errors():
         if figure is not None:
             require("plot", "matplotlib")
-        if model == "waters" and gain == "fixed":
-            raise ValueError("--model waters fits the gain: leave out --gain fixed")
+        if gain == "fixed" and (model == "waters" or clean is None):
+            raise ValueError("--gain fixed needs --clean, and another model than waters")
         optics: dict[str, Any] = {"surfaces": surfaces, "camera": camera, "g": g, "mu": mu}
         optics = {name: value for name, value in optics.items() if value is not None}
         if table := view_table(view, focal_px):
             optics["view"] = uwaug.View(**table)
         if optics and model != "waters":
             raise ValueError(f"--{next(iter(optics))} is of --model waters, got --model {model}")
-        if clean is None and (model not in ("auto", "veil") or gain == "fixed"):
-            raise ValueError(f"--model {model} --gain {gain} needs --clean")
+        if clean is None and model not in ("auto", "veil"):
+            raise ValueError(f"--model {model} needs --clean")
         if clean is not None and darkest is not None:
             raise ValueError("--darkest is of fits without --clean: leave one of them out")
         wet = read_picture(observed)

@@ -1,6 +1,5 @@
 """Checks of the inputs of image formation."""
 
-import math
 from typing import Any
 
 import torch
@@ -25,18 +24,14 @@ def validate(
     light: Light | None = None,
     view: View = WIDE,
 ) -> None:
-    """Refuse inputs of a wrong type, shape, batch, device or value."""
     agree(medium, light, image=image, distance=distance, field=field)
     view.require(image.shape[-1])
     require_values(image, color_space)
     if torch.compiler.is_compiling():
         return
     checks.distances("distance", distance)
-    if field is not None and field.numel():
-        thinnest, densest = checks.extent(field)
-        if not (thinnest >= 0 and densest < math.inf):
-            counts = checks.counted(field, "NaN", "negative", "infinite")
-            raise ValueError(f"field is {counts}: expected finite values ≥ 0")
+    if field is not None and field.numel() and checks.finite("field", field)[0] < 0:
+        raise ValueError(f"field falls to {float(field.min()):g}: expected values ≥ 0")
 
 
 def agree(medium: Medium, light: Light | None, **images: Any) -> None:
