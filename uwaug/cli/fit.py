@@ -15,9 +15,7 @@ def fit(
     out: Annotated[Path, typer.Option(help="JSON file to write.")],
     clean: Annotated[
         Path | None,
-        typer.Option(
-            help="Picture of the scene without water. Without it, the veil alone is estimated."
-        ),
+        typer.Option(help="Picture of it without water; else the veil alone is estimated."),
     ] = None,
     unit: Unit = "m",
     holes: Annotated[
@@ -35,24 +33,19 @@ def fit(
         str | None, typer.Option(help="Of --model waters: a camera's name, or a CSV file.")
     ] = None,
     g: Annotated[
-        float | None,
-        typer.Option(help="Of --model waters: share scattered away; else .05."),
+        float | None, typer.Option(help="Of --model waters: share scattered away; else .05.")
     ] = None,
     mu: Annotated[
         float | None, typer.Option(help="Of --model waters: share scattered back; else 1.5·g.")
     ] = None,
     view: Annotated[
-        float | None,
-        typer.Option(help="Of --model waters: horizontal angle of the view, degrees; else 60."),
+        float | None, typer.Option(help="Of --model waters: angle of view, degrees; else 60.")
     ] = None,
     focal_px: Annotated[
         float | None, typer.Option(help="In place of --view: focal length, px of the pictures.")
     ] = None,
     darkest: Annotated[
-        float | None,
-        typer.Option(
-            help="Without --clean: share of light that the darkest surfaces reflect; else .05."
-        ),
+        float | None, typer.Option(help="Without --clean: what is darkest reflects; else .05.")
     ] = None,
     gain: Annotated[
         Literal["free", "fixed"], typer.Option(help="Exposure and daylight above the scene.")

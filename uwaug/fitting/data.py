@@ -25,6 +25,7 @@ from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.formation.colour import decoded, encoded, require_values
 from uwaug.formation.image import form
+from uwaug.formation.inputs import batch_sizes
 from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
 
@@ -80,27 +81,15 @@ class Pictures:
         checks.one_of("color_space", color_space, get_args(ColorSpace))
         if jpeg is not None:
             checks.within("jpeg", jpeg, 1, 100)
-        tensors = {"observed": observed, "distance": distance}
-        if clean is not None:
-            tensors["clean"] = clean
-        for name, tensor in tensors.items():
-            is_bytes = isinstance(tensor, Tensor) and tensor.dtype == torch.uint8
-            if name == "distance" or not is_bytes:
-                checks.floating(name, tensor)
-            checks.picture(name, tensor, 1 if name == "distance" else 3)
-            if tensor.shape[-2:] != observed.shape[-2:]:
-                size, expected = tuple(tensor.shape[-2:]), tuple(observed.shape[-2:])
-                raise ValueError(f"{name} is {size} but observed is {expected}: align them")
-        batches = {name: x if x.ndim == 4 else x[None] for name, x in tensors.items()}
-        checks.batches({name: len(x) for name, x in batches.items()})
+        checks.batches(batch_sizes(observed=observed, distance=distance, clean=clean))
         checks.metres("distance", distance)
-        wet = _light(batches["observed"], color_space, "observed")
+        wet = _light(observed, color_space, "observed")
         dry = torch.zeros_like(wet[:1])
         if clean is not None:
-            dry = _light(batches["clean"], color_space, "clean")
+            dry = _light(clean, color_space, "clean")
             if float((dry - wet).abs().mean()) <= _SAME_PICTURE * float(dry.mean()):
                 raise ValueError("clean and observed are the same picture")
-        z = batches["distance"].detach().cpu().double()
+        z = (distance if distance.ndim == 4 else distance[None]).detach().cpu().double()
         usable = z > 0
         clips = color_space == "srgb" or bool(wet.min() >= 0 and wet.max() <= 1)
         if clips:
@@ -268,7 +257,7 @@ def _through_jpeg(values: Tensor, quality: int) -> Tensor:
 
 
 def _light(picture: Tensor, color_space: ColorSpace, name: str) -> Tensor:
-    picture = picture.detach().cpu()
+    picture = (picture if picture.ndim == 4 else picture[None]).detach().cpu()
     require_values(picture, color_space, name)
     return decoded(picture, color_space).double()
 

@@ -39,20 +39,27 @@ def agree(medium: Medium, light: Light | None, **images: Any) -> None:
     or none, and maps.
     """
     checks.instance("medium", medium, Medium, "; see Medium.from_water")
-    sizes, first = {"medium": len(medium)}, next(iter(images.values()))
+    sizes = {"medium": len(medium), **batch_sizes(**images)}
     if light is not None:
         checks.instance("light", light, Light)
         sizes["pitch"] = light.pitch.numel() if isinstance(light.pitch, Tensor) else 1
+    checks.batches(sizes)
+
+
+def batch_sizes(**images: Any) -> dict[str, int]:
+    """Refuse pictures and maps whose types, shapes or devices do not agree; their batches."""
+    sizes, first = {}, next(iter(images.values()))
     for name, value in images.items():
         if value is None:
             continue
-        if not (name == "image" and isinstance(value, Tensor) and value.dtype == torch.uint8):
+        is_picture = name in ("image", "clean", "observed")
+        if not (is_picture and isinstance(value, Tensor) and value.dtype == torch.uint8):
             checks.floating(name, value)
-        checks.picture(name, value, 3 if name == "image" else 1)
+        checks.picture(name, value, 3 if is_picture else 1)
         checks.same_size(name, value, first)
         checks.same_device(name, value, first)
         sizes[name] = len(value) if value.ndim == 4 else 1
-    checks.batches(sizes)
+    return sizes
 
 
 def effective_distance(distance: Tensor, field: Tensor | None, dtype: torch.dtype) -> Tensor:

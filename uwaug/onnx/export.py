@@ -4,8 +4,7 @@ import json
 import logging
 import os
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -184,7 +183,10 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
     graph = Graph(module, plan).eval()
     examples = _examples(graph, coefficients)
     values, sizes = zip(*examples.values(), strict=True)
-    with torch.no_grad(), _quiet():
+    # two messages of the exporter, on what lies in torchvision and inside torch
+    logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
+    with torch.no_grad(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*LeafSpec", category=FutureWarning)
         program = torch.export.export(
             graph,
             values,
@@ -242,20 +244,3 @@ def _drop_traces(graph: Any) -> None:
         part.ClearField("doc_string")
     del graph.value_info[:]
     graph.ClearField("metadata_props")
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence two messages of the exporter, on what lies inside torch and in torchvision."""
-    log = logging.getLogger("torch.onnx._internal.exporter._registration")
-
-    def mute(record: logging.LogRecord) -> bool:
-        return "torchvision is not installed" not in record.getMessage()
-
-    log.addFilter(mute)
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message=".*LeafSpec", category=FutureWarning)
-            yield
-    finally:
-        log.removeFilter(mute)

@@ -449,8 +449,7 @@ class Medium:
 
     def without_lamps(self) -> "Medium":
         """The medium without rates of its own under lamps."""
-        none = torch.zeros((), device="cpu")
-        nothing: dict[str, Any] = {f"lamp_{name}": none for name in OF_LAMPS}
+        nothing: Any = {f"lamp_{name}": torch.zeros((), device="cpu") for name in OF_LAMPS}
         return replace(self, **nothing)
 
     def lamplit(self) -> "Medium":

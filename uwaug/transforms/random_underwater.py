@@ -230,8 +230,7 @@ class RandomUnderwater(SampleTransform):
 
         Args:
             image (3xHxW or Bx3xHxW tensor): uint8 or floating point.
-            distance (1xHxW or Bx1xHxW tensor): maps as the transform's `distance` reads them; None
-                if it reads none.
+            distance (1xHxW or Bx1xHxW tensor): maps that `distance` reads; None if it reads none.
             params: from `make_params` of an equal transform; one sample serves a whole batch.
         """
         return self.scenes(image, distance, params).formed()

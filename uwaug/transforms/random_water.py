@@ -36,21 +36,15 @@ CONTENTS = Constituents(chlorophyll=(1.0, 9.0), cdom=(0.15, 1.2), minerals=(0.06
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", *[CONTENTS] * 5)
-"""In 7C and 9C nearly one colour is left, which looks like a filter. (What else was tried, and how
-`VISIBLE` was chosen: benchmarks/CHOICES.md, default draws.)
-"""
+"""What else was tried, and how `VISIBLE` was chosen: benchmarks/CHOICES.md, default draws."""
 
 DIMMEST = 1 / 8
-"""Share of the surface's light that a scene has at least, where the exposure is automatic: below,
-turbid waters have one colour, which a camera's matrix makes neon.
-"""
+"""Share of the surface's light that a scene has at least, where the exposure is automatic."""
 
 _CURVES = 0.002  # tolerance of a medium's curves, in the light that a metered exposure makes of it
 
 VISIBLE = (1.8, 14.0)
-"""Median distances of a scene that one sees in the default waters: photographers stand where they
-can see.
-"""
+"""Median distances of a scene that one sees in the default waters."""
 
 PLACED_M = 2.0
 """m: stands for the median distance of a scene without a size, which is placed in its water."""
