@@ -165,10 +165,10 @@ def picture(name: str, value: "Tensor", channels: int) -> None:
         raise ValueError(f"{name} must have shape {shapes}, got {tuple(value.shape)}")
 
 
-def same_size(name: str, value: "Tensor", image: "Tensor") -> None:
+def same_size(name: str, value: "Tensor", image: "Tensor", of: str = "image") -> None:
     size, other = tuple(value.shape[-2:]), tuple(image.shape[-2:])
     if size != other:
-        raise ValueError(f"{name} is {size} but image is {other}: height and width must agree")
+        raise ValueError(f"{name} is {size} but {of} is {other}: height and width must agree")
 
 
 def same_device(name: str, value: "Tensor", image: "Tensor") -> None:

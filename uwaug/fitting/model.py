@@ -50,13 +50,9 @@ class Quantity(NamedTuple):
 
 
 class Model(Protocol):
-    """A picture as a function of θ, as fits need it.
+    """A picture as a function of θ, as fits need it."""
 
-    Attributes:
-        offset: linear light by which all pixels of a colour may be off alike, whatever the noise.
-    """
-
-    offset: float = 0.0
+    offset: float = 0.0  # linear light by which all pixels of a colour may be off alike
 
     @property
     def name(self) -> str: ...

@@ -98,8 +98,7 @@ class Fit:
         parameters: each number by name.
         covariance: covariance of all `parameters`, in their order; of no use where one is not
             identified.
-        setting: the water (exposure included, a batch of one, float64), and the view and color
-            space of the pictures: `module` makes the observed picture of the clean one by it.
+        setting: the water (exposure included, a batch of one, float64), view and color space.
         geometry: distances [m] and size [px] of the pictures.
         rms: root mean square of the residual, in linear light.
         notes: sentences on the result, and on what the pictures cannot tell.

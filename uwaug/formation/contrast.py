@@ -117,8 +117,11 @@ def _checked_light(reflectance: float | Tensor, z: Tensor) -> Tensor:
         low, _ = checks.finite("reflectance", reflectance)
         if low < 0:
             raise ValueError(f"reflectance falls to {low:g}: expected linear light ≥ 0")
-    shape = np.broadcast_shapes(reflectance.shape, (len(z), 3, *z.shape[-2:]))
-    return reflectance.to(z).expand(shape)
+    picture = (len(z), 3, *z.shape[-2:])
+    try:
+        return reflectance.to(z).expand(np.broadcast_shapes(reflectance.shape, picture))
+    except ValueError as error:
+        raise ValueError(f"reflectance: expected what broadcasts with {picture}: {error}") from None
 
 
 def _luminance(light: Tensor) -> Tensor:

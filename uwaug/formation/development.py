@@ -43,8 +43,7 @@ _BEYOND = 1 / (1 - GAMUT_FROM)
 _STRAIGHT_OFFSET = 1e6  # stands for the infinite offset of a straight curve
 TOE = 1e-4  # light below which tone is straight: less contrast is infinitely steep at 0
 # Number of pixels at which the light is measured. Spread by a quasi-random sequence, they see
-# stripes and rows of any period in pictures of any size, and the mean luminance of noise is right
-# within 1 %. (A grid of every fourth pixel is off by 10 % at 16 px.)
+# stripes of any period, and the mean luminance of noise is right within 1 %.
 METERED = 8192
 LEAST_FACTOR = 1e-6  # of a white balance that was set
 BURNT = 0.02  # share of the metered pixels that may burn out
@@ -79,9 +78,8 @@ class Development:
             for none. Or three factors of the channels, as of a camera that was set.
         saturation: 0 for grey, 1 to leave colours as they are, up to 4.
         gamut: share of gamut compression, 0…1. 0 clips negative channels; 1 squeezes distances from
-            grey, (max − c)/max, above .75 to below 1, along the curve of ACES' reference gamut
-            compression (Academy, S-2020-001) with power 2. If metered, more than 0 also lowers the
-            saturation where the mean colour is more vivid than those of photographs.
+            grey, (max − c)/max, above .75 to below 1 (Academy, S-2020-001, power 2). If metered,
+            more than 0 also lowers the saturation of mean colours that no photograph has.
         tone: exponent c of the curve (1 + k)·x^c/(x^c + k), .25…4, with p = .18^c and
             k = .82·p/(.18 − p); black, mid-grey and white stay, and its slope at mid-grey is
             c·k/(p + k). Light above white goes on along the slope there.

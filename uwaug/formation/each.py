@@ -23,10 +23,9 @@ _WALL_PX = (9, 12)  # height and width of a wall that stands for a scene under l
 def form_each(images: Tensor, z: Tensor, metres: Tensor, settings: Sequence[Setting]) -> Tensor:
     """Pictures (Bx3xHxW) as cameras store them, see `uwaug.formation.image.form`.
 
-    On the host they are formed one after the other, which keeps the data of one in the caches. (By
-    PyTorch, 16 of 256² take 15 ms each; all at once, with rates padded to as many for all, 29.) On
-    a device pictures by daylight alone are formed at once, then those with lamps one by one,
-    without a look at values: blurs are planned for the `span` of each, in a scene of grey.
+    On the host they are formed one after the other, which keeps the data of one in the caches. On a
+    device pictures by daylight alone are formed at once, then those with lamps one by one, without
+    a look at values: blurs are planned for the `span` of each, in a scene of grey.
     """
     results: dict[int, Tensor] = {}
     on_host = checks.on_host(images)

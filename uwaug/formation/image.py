@@ -196,8 +196,7 @@ def form_image(
         medium: one row, or as many as images. One image and B media give B images.
         light: lamps, and the direction of daylight; None for daylight as the medium has it.
         view: of the camera.
-        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
-            single pixels may be off by 3 to 5 times as much.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f².
 
     Returns:
         The terms, of the image's dtype, with its batch dimension or without.

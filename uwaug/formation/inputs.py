@@ -48,7 +48,7 @@ def agree(medium: Medium, light: Light | None, **images: Any) -> None:
 
 def batch_sizes(**images: Any) -> dict[str, int]:
     """Refuse pictures and maps whose types, shapes or devices do not agree; their batches."""
-    sizes, first = {}, next(iter(images.values()))
+    sizes, (of, first) = {}, next(iter(images.items()))
     for name, value in images.items():
         if value is None:
             continue
@@ -56,7 +56,7 @@ def batch_sizes(**images: Any) -> dict[str, int]:
         if not (is_picture and isinstance(value, Tensor) and value.dtype == torch.uint8):
             checks.floating(name, value)
         checks.picture(name, value, 3 if is_picture else 1)
-        checks.same_size(name, value, first)
+        checks.same_size(name, value, first, of)
         checks.same_device(name, value, first)
         sizes[name] = len(value) if value.ndim == 4 else 1
     return sizes

@@ -77,8 +77,7 @@ def _but_rates(tensor: Tensor) -> torch.Size:
 class LearnableMedium(nn.Module):
     """A medium of coefficients, made of unconstrained parameters. Whatever they are, β ≥ G ≥ 0, and
     the veil and the width's scale are ≥ 0. The veil is learned by its slope at the lens, G·V(0),
-    which has a limit as G falls to 0. (With V(0) for a parameter, G → 0 and V(0) → ∞ would fit as
-    well.)
+    which has a limit as G falls to 0.
 
     Args:
         medium: start of learning, from `Medium.from_coefficients` or `Medium.as_coefficients`.

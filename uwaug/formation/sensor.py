@@ -32,8 +32,7 @@ class Sensor(Seeded):
     Attributes:
         full_well: electrons, ≥ 1; in `uwaug.RandomDevelopment` also a range (low, high).
         read_noise: rms, electrons; likewise.
-        seed: a whole number for the same noise at each call; None for new noise, from torch's
-            global generator. Pictures that are drawn record their own.
+        seed: a whole number for the same noise at each call; None for new noise.
 
     Source: the photon transfer curve, σ² = N + read_noise² (J. R. Janesick, *Photon Transfer*, SPIE
     2007; EMVA 1288). A normal distribution stands for Poisson's.

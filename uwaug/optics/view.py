@@ -27,8 +27,8 @@ class View:
         degrees: horizontal angle of view, 1…170. It stays when a picture is resized.
         focal_px: focal length, px, in place of degrees. It stays when a picture is cropped. With
             neither, 60° stand for an unknown view, through which no planar map is read.
-        center: column and row, px, where the axis of the camera passes, counted from the middle of
-            the first pixel; None for the middle of the picture.
+        center: column and row of the camera's axis, px from the middle of the first pixel; None for
+            the middle of the picture.
 
     Raises:
         TypeError, ValueError: if a number is outside its domain, or both angle and length come.

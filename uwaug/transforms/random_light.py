@@ -53,8 +53,7 @@ class RandomLight(Noun):
         cone: as for `uwaug.Lamp`, degrees.
         across, down: point at which the lamps aim, right of the middle and below it, in shares of
             the median distance.
-        tint: stops by which the lamps' blue is above their red, beside daylight: −1.7 of a halogen
-            lamp of 3000 K, .3 of an LED of 6500 K.
+        tint: stops by which the lamps' blue is above their red: −1.7 of a halogen lamp.
 
     Raises:
         TypeError, ValueError: if a value does not suit, or leaves its domain.

@@ -42,8 +42,7 @@ class RandomUnderwater(SampleTransform):
     """Degrade pictures in random waters, as an underwater camera takes them.
 
     Args:
-        water: a `RandomWater`, or its first argument alone: Jerlov types, contents, a `Water`, a
-            `Medium`.
+        water: a `RandomWater`, or its first argument alone.
         distance: the content of maps: `uwaug.distance.Metres`, `Relative` or `Inverse`. Or the
             source of distances where there are no maps: `MadeUp`, `Network`, or `Plane`, for which
             a number or a range may stand, m.
@@ -163,7 +162,7 @@ class RandomUnderwater(SampleTransform):
         """
         nouns = {name: noun for name, noun in self._nouns.items() if name != "distance"}
         names = [f"{name}.{option}" for name, noun in nouns.items() for option in noun.random()]
-        names += ["p"] * (self.p < 1) + self.water.of_each_picture()
+        names += ["p"] * (self.p < 1) + ["water.contrast"] * (self.water.contrast is not None)
         if names:
             got = ", ".join(dict.fromkeys(names))
             raise ValueError(f"a module makes the same of all pictures, but {got} differ: fix them")

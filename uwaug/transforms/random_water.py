@@ -233,10 +233,6 @@ class RandomWater(Noun):
         has_contents = any(isinstance(water, Constituents) for water in self.by_name.values())
         return ["waters"] * (len(self.by_name) > 1 or has_contents) + super().random()
 
-    def of_each_picture(self) -> list[str]:
-        """Names of the options that follow from the distances of a picture."""
-        return ["water.contrast"] if self.contrast is not None else []
-
     def water(self, draw: Drawn, median: float) -> tuple[Water | Medium, float]:
         """The water of a picture, of a scene with this median distance [m], before a contrast is
         asked for; and how many times its contents it has.
