@@ -63,7 +63,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "network": {"distance": Network(brightness)},
     "made up": {"distance": MadeUp()},
     "half": {"p": 0.5},
-    "fill": {"distance": Metres("fill", True)},
+    "fill": {"distance": Metres("fill", True), "view": 60.0},
     "keys": {"keys": ("rgb", "range")},
     "linear": {"development": RandomDevelopment(color_space="linear")},
     "night": {"light": RandomLight(share=0.5)},

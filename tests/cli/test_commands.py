@@ -366,7 +366,7 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
         ("degrade photos --severity 2 --options murk.toml --out wet", "--severity is a contrast"),
         ("degrade photos --maps png --out wet", "maps must be"),
         ("export --out x.onnx", "--preset"),
-        ("export survey --preset survey --out x.onnx", "give one preset"),
+        ("export survey --preset survey --out x.onnx", "expected one preset"),
         ("export nothing --out x.onnx", "nothing"),
         ("export --preset survey --out x.bin", ".onnx"),
         ("plot photos/a.png --distance depth/b.png", "metres"),
@@ -440,7 +440,7 @@ def test_a_fit_is_a_preset(folder, run):
     for line in ("degrade clean.npy --distance 3 --out b", "export --out fit.onnx"):
         code, _, err = run(*line.split(), "--preset", "fit.json", "--water", "II")
         assert code == 2
-        assert "holds coefficients, which no water replaces" in err
+        assert "holds coefficients: no water or camera replaces them" in err
 
 
 NIGHT = """

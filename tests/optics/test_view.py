@@ -107,7 +107,7 @@ def test_degrees_and_px_are_one() -> None:
     [
         ({"degrees": 180.0}, r"view: degrees must be in \[1, 170\], got 180"),
         ({"focal_px": 0.0}, "view: focal_px must be finite and > 0"),
-        ({"degrees": 60, "focal_px": 410.0}, "say the same, got degrees = 60 and focal_px = 410"),
+        ({"degrees": 60, "focal_px": 410.0}, "say the same, got both of View.degrees=60"),
         ({"center": 3.0}, "view: center must be"),
         ({"center": (math.nan, 3.0)}, "view: center must be finite"),
     ],
@@ -134,7 +134,7 @@ def test_planar_depth_needs_a_view_that_is_named() -> None:
 def test_a_focal_length_in_millimetres_is_refused() -> None:
     image, depth = rand(3, *SIZE).float(), torch.ones(1, *SIZE)
     aug = RandomUnderwater("II", distance=Metres(planar=True), view=View(focal_px=2.8))
-    with pytest.raises(ValueError, match=r"focal_px must be in px of the picture, got 2.8: a lens"):
+    with pytest.raises(ValueError, match=r"focal_px must be in px of the picture, .* got 2.8"):
         aug(image, depth)
     with pytest.raises(TypeError, match=r"view must be a uwaug\.View, got str; or give its angle"):
         RandomUnderwater(view="wide")

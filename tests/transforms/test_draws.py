@@ -125,7 +125,7 @@ def test_a_source_that_reads_pictures_gets_srgb() -> None:
 
 
 def test_what_is_measured_of_a_film_takes_the_place_of_a_frame() -> None:
-    own = Measured(64, 0.0, 1.0, 1.0, 4.0, 2.0)
+    own = Measured(64, 48, 0.0, 1.0, 1.0, 4.0, 2.0)
     settled = {"median": 3.0, "exposure": 0.5, "white_balance": [1.0, 2.0, 3.0]}
     balance = {"white_balance": (1.0, 2.0, 3.0)}
     moved = (0.5, 0.0, -0.25)

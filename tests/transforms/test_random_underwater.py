@@ -434,7 +434,7 @@ def test_a_medium_has_its_own_daylight_unless_lamps_are_asked_for() -> None:
 @pytest.mark.usefixtures("nothing_is_said")
 def test_says_once_where_nothing_is_left_to_see() -> None:
     aug = RandomUnderwater(RandomWater("9C", field=None))
-    with pytest.warns(UserWarning, match=r"less than 3 % .* median distance 50 m: take clearer"):
+    with pytest.warns(UserWarning, match=r"less than 3 % .* median of 50 m: take clearer"):
         aug(picture(), torch.full((1, 24, 33), 50.0))
     aug(picture(), torch.full((1, 24, 33), 50.0))  # silent: a warning would be an error
 
@@ -508,7 +508,7 @@ REFUSED_OPTIONS: dict[str, Any] = {
     "water must be one of": lambda: RandomUnderwater("IX"),
     "water must be a Jerlov type": lambda: RandomUnderwater(3.0),
     "two are called 'tank'": lambda: RandomWater([TANK, NAMED]),
-    "mixing needs spectra": lambda: RandomWater(["II", FIT], mixing=(0, 1)),
+    "mixing must be 0": lambda: RandomWater(["II", FIT], mixing=(0, 1)),
     "must be a uwaug.PointSpread": lambda: RandomWater(point_spread=3.0),
     "visibility and contrast both": lambda: RandomWater(visibility=4.0, contrast=0.3),
     r"p must be in \[0, 1\]": lambda: RandomUnderwater(p=2.0),

@@ -120,8 +120,9 @@ def _checked_light(reflectance: float | Tensor, z: Tensor) -> Tensor:
     picture = (len(z), 3, *z.shape[-2:])
     try:
         return reflectance.to(z).expand(np.broadcast_shapes(reflectance.shape, picture))
-    except ValueError as error:
-        raise ValueError(f"reflectance: expected what broadcasts with {picture}: {error}") from None
+    except ValueError:
+        got = tuple(reflectance.shape)
+        raise ValueError(f"reflectance is {got}: expected what broadcasts with {picture}") from None
 
 
 def _luminance(light: Tensor) -> Tensor:

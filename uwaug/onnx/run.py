@@ -169,9 +169,7 @@ class OnnxUnderwater:
         """Check medium and light, and return their numbers as the file takes them."""
         if self.metadata["uwaug_coefficients"] != "inputs":
             if medium is not None or light is not None:
-                raise ValueError(
-                    "medium, light: the file takes none: export with coefficients=True"
-                )
+                raise ValueError("medium, light: the file takes none: export with coefficients")
             return {}
         if medium is None:
             raise ValueError("medium: the file needs one")

@@ -77,7 +77,7 @@ class View:
     def require(self, width: int) -> None:
         """Refuse a focal length that is not in px of a picture of this width, px."""
         if self.focal_px is not None and width > _WIDEST * self.focal_px:
-            expected = f"in px of the picture, f/w·{width} of a sensor w wide"
+            expected = f"in px of the picture, {width}·f/w of a sensor w wide"
             raise ValueError(f"view: focal_px must be {expected}, got {self.focal_px:g}")
 
     def middle(self, size: Size) -> tuple[float, float]:
