@@ -180,7 +180,7 @@ def test_a_file_with_a_lamp(tmp_path, coefficients, space) -> None:
         apart = run(image, distance, other, light) - exact
         assert apart.abs().max() < 2e-5 * exact.max()
     for light in (Light([lamp]), Light(pitch=3.0), Light([replace(lamp, cone=30.0)], pitch=3.0)):
-        with pytest.raises(ValueError, match="light: the file takes .* with other powers"):
+        with pytest.raises(ValueError, match=r"light: the file takes .* with other powers"):
             run(image, distance, other, light)
 
 

@@ -21,7 +21,7 @@ CLEAR = Medium.from_coefficients((1e-9,) * 3, (1e-9,) * 3, (0.0,) * 3)
 
 
 def lights(random: RandomLight, count: int, metres: float = 3.0) -> list[Any]:
-    seen = Measured(W, 0.0, 1.0, metres / 2, 2 * metres, metres)
+    seen = Measured(W, W, 0.0, 1.0, metres / 2, 2 * metres, metres)
     return [random.of(random.drawn(Uniform(seed.to_bytes(8))), seen) for seed in range(count)]
 
 
@@ -142,7 +142,7 @@ def test_tables(table: dict[str, Any], expected: Any) -> None:
     [
         (lambda: RandomLight(share=1.5), r"share must be in \[0, 1\]"),
         (lambda: RandomLight(rigs=("torch",)), "rigs must be one of vehicle, diver, strobe"),
-        (lambda: RandomLight(rigs=()), "rigs must be some of vehicle, diver, strobe, got"),
+        (lambda: RandomLight(rigs=()), "rigs must be one of vehicle, diver, strobe"),
         (lambda: RandomLight(cone=120.0), r"cone must be a number or a range"),
         (lambda: RandomLight(daylight=(-1.0, 0.0)), r"daylight must be a number or a range"),
     ],
