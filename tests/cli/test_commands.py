@@ -491,7 +491,7 @@ def test_a_veil_is_estimated_without_a_clean_picture(folder, run):
         assert code == 0
         number = json.loads((folder / "veil.json").read_text())["parameters"]["G_red"]
         assert number["state"] == state
-        assert ("darkest=0 (--darkest 0) would tell" in out) == (not flags)
+        assert ("darkest=0 (--darkest 0), would tell" in out) == (not flags)
 
 
 def test_a_haze_of_encoded_values_is_fitted_and_made_again(folder, run):

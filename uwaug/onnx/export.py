@@ -216,16 +216,19 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
         dims = value.type.tensor_type.shape.dim
         for axis, size in examples.get(value.name, examples["image"])[1].items():
             dims[axis].dim_param = size.__name__
-    metadata = {
+    for key, text in _metadata(module, plan, coefficients).items():
+        model.metadata_props.add(key=key, value=text)
+    return model
+
+
+def _metadata(module: Underwater, plan: BlurPlan, coefficients: bool) -> dict[str, str]:
+    return {
         "uwaug_version": __version__,
         "uwaug_water": "; ".join(module.medium.notes),
         "uwaug_plan": str(plan),
         "uwaug_coefficients": "inputs" if coefficients else "constants",
         "uwaug_module": json.dumps(to_plain(arguments_of(module))),
     }
-    for key, text in metadata.items():
-        model.metadata_props.add(key=key, value=text)
-    return model
 
 
 def _drop_assertions(program: torch.export.ExportedProgram) -> None:
