@@ -276,7 +276,7 @@ def test_shapes_that_disagree_and_stacks_of_nothing() -> None:
         Medium.stack(iter([]))
     with pytest.raises(TypeError, match=r"media must be a uwaug.Medium, got str"):
         Medium.stack("7C")
-    with pytest.raises(ValueError, match=r"one law of point spreads, got .*exponential.*gaussian"):
+    with pytest.raises(ValueError, match="one law of point spreads, got"):
         Medium.stack([coastal(), coastal(point_spread=PointSpread.calibrated())])
     with pytest.raises(IndexError, match="medium 3 of 1"):
         coastal()[3]

@@ -29,8 +29,8 @@ class Weights(NamedTuple):
         wide = self
         if len(gains) > len(self.beta):
             wide = Weights(*[array.repeat(len(gains), 0) for array in self])
-        direct, signal, veil = (mixed(gains, x) for x in (self.direct, self.signal, self.veil))
-        return wide._replace(direct=direct, signal=signal, veil=veil)
+        direct, signal = mixed(gains, self.direct), mixed(gains, self.signal)
+        return wide._replace(direct=direct, signal=signal, veil=mixed(gains, self.veil))
 
     def widths(self, z: Array) -> Array:
         """Widths (BxN) of the forward scatter at distances (N), m, in units of the law."""
