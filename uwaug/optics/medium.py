@@ -128,7 +128,9 @@ class Medium:
             if tensor.ndim == 0:
                 object.__setattr__(self, name, tensor.to(self.beta).expand(shape))
             elif tuple(tensor.shape) != shape:
-                raise ValueError(f"Medium.{name} must have shape {shape}, got {tensor.shape}")
+                raise ValueError(
+                    f"Medium.{name} must have shape {shape}, got {tuple(tensor.shape)}"
+                )
 
     if not TYPE_CHECKING:  # a checker would take any name for an attribute
 
