@@ -324,7 +324,7 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
         (
             "fit --clean a.png --observed b.png --distance z.npy --out f.json --model waters "
             "--gain fixed",
-            "--model waters fits the gain",
+            "--gain fixed needs --clean, and another model",
         ),
         (
             "fit --clean a.png --observed b.png --distance 3 --out f.json --surfaces grey",
@@ -365,7 +365,7 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
         ("degrade photos --severity 2 --set water.contrast=.5 --out wet", "--severity is a contr"),
         ("degrade photos --severity 2 --options murk.toml --out wet", "--severity is a contrast"),
         ("degrade photos --maps png --out wet", "maps must be"),
-        ("export --out x.onnx", "--preset"),
+        ("export --out x.onnx", "expected one preset"),
         ("export survey --preset survey --out x.onnx", "expected one preset"),
         ("export nothing --out x.onnx", "nothing"),
         ("export --preset survey --out x.bin", ".onnx"),
@@ -692,13 +692,13 @@ def test_the_view_of_the_camera(folder, run):
     for name, flags in {"px": ("--focal-px", "40"), "narrow": ("--view", "20")}.items():
         code, _, err = run(*line, name, *flags)
         assert (code, err) == (0, "")
-    assert len({Path(name, "a.png").read_bytes() for name in ("px", "narrow")}) == 3
+    assert len({Path(name, "a.png").read_bytes() for name in ("px", "narrow")}) == 2
     code, _, err = run(*line, "d")
     assert (code, "planar maps need the camera's view" in err) == (1, True)
     code, _, err = run(*line, "d", "--view", "20", "--focal-px", "40")
     assert (code, "degrees and focal_px say the same" in err) == (2, True)
     code, _, err = run(*line, "d", "--focal-px", "2.8")
-    assert "focal_px must be in px of the picture, got 2.8: a lens of f mm" in err
+    assert "focal_px must be in px of the picture" in err
 
 
 def test_a_medium_of_coefficients_has_grades(folder, run):

@@ -128,9 +128,8 @@ class Medium:
             if tensor.ndim == 0:
                 object.__setattr__(self, name, tensor.to(self.beta).expand(shape))
             elif tuple(tensor.shape) != shape:
-                raise ValueError(
-                    f"Medium.{name} must have shape {shape}, got {tuple(tensor.shape)}"
-                )
+                got = tuple(tensor.shape)
+                raise ValueError(f"Medium.{name} must have shape {shape}, got {got}")
 
     if not TYPE_CHECKING:  # a checker would take any name for an attribute
 
