@@ -55,10 +55,10 @@ def test_in_pictures_and_their_terms(water: str) -> None:
 
 def test_the_loops_form_it_and_the_meter_sees_it() -> None:
     medium = glowing(WATERS["spectral"])
-    degrade = Underwater(medium, None, development=Development("auto", saturation=1.2))
+    degrade = Underwater(medium, None, development=Development(metered=True, saturation=1.2))
     assert fast.can(IMAGE, DISTANCE, replace(degrade.setting, medium=medium))
     torch.testing.assert_close(degrade(IMAGE, DISTANCE).double(), degrade(J, Z), rtol=0, atol=1e-5)
-    gains = [float(Development("auto").gain(J, Z, m)) for m in (CLEAR, glowing(CLEAR))]
+    gains = [float(Development(metered=True).gain(J, Z, m)) for m in (CLEAR, glowing(CLEAR))]
     assert gains[1] < 0.7 * gains[0]
 
 

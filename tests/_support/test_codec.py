@@ -27,7 +27,7 @@ from uwaug.distance import Network
 LAW = PointSpread(0.5, 0.7, "exponential")
 VALUES = {
     "width law": PointSpread.paper(),
-    "development": Development("auto", tone=1.3, gamut=0.5),
+    "development": Development(metered=True, tone=1.3, gamut=0.5),
     "contents": Constituents(chlorophyll=(1, 5), cdom=0.3),
     "water": Water.jerlov("5C").with_contrast(0.2, 3),
     "camera": load_camera("Sigma SDMerill (NPL)"),

@@ -17,7 +17,7 @@ def physics(deepinv: Any) -> Any:
     from uwaug.adapters.deepinv import UnderwaterPhysics
 
     medium = uwaug.Medium.from_water("3C", vertical_depth=2, surfaces="spectral")
-    camera = uwaug.Development(exposure="auto")
+    camera = uwaug.Development(metered=True)
     return UnderwaterPhysics(uwaug.Underwater(medium, development=camera), metres())
 
 

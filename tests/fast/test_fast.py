@@ -87,7 +87,7 @@ class OwnMedium(Medium):
 
 DEVELOPMENTS = {
     "none": Development(),
-    "metered": Development("auto"),
+    "metered": Development(metered=True),
     "stops": Development(-1.3),
     "white balance": Development(white_balance=0.7),
     "saturation": Development(saturation=1.7),
@@ -95,7 +95,7 @@ DEVELOPMENTS = {
     "more contrast": Development(tone=1.6),
     "less contrast": Development(tone=0.6),
     "all": Development(0.5, 0.6, 1.4, 0.8, 1.3, metered=True),
-    "noise": Development("auto", 0.6, tone=1.3, noise=Sensor(1000, seed=1)),
+    "noise": Development(0.0, 0.6, metered=True, tone=1.3, noise=Sensor(1000, seed=1)),
     "noise of all": Development(0.5, 0.6, 1.4, 0.8, 1.3, metered=True, noise=Sensor(1000, seed=1)),
 }
 SNOW = MarineSnow(3000, seed=7)

@@ -55,7 +55,7 @@ def test_intervals_count_what_dark_surfaces_may_reflect(floor: float) -> None:
         right = truth[kind][("red", "green", "blue").index(colour)]
         if number.low is not None and number.high is not None:
             assert number.low <= right <= number.high, name
-    assert "up to 0.05 of white" in fit.notes[0]
+    assert "within an error of 0.05 of white" in fit.notes[0]
 
 
 def test_a_scene_without_anything_dark_tells_no_growth() -> None:

@@ -63,11 +63,6 @@ def test_stages(stage: str, medium: str, metered: bool) -> None:
     np.testing.assert_allclose(ours, wanted, rtol=0, atol=1e-10)
 
 
-def test_auto_is_0_stops_metered() -> None:
-    assert Development("auto") == Development(0.0, metered=True)
-    assert Development(exposure="auto", tone=2.0) == Development(tone=2.0, metered=True)
-
-
 # ---- exposure
 
 
@@ -79,7 +74,7 @@ def test_metering_keeps_the_mean_luminance(depth: float) -> None:
         image, z = 0.7 * rand(1, 3, height, width) ** 2, 0.5 + 3 * rand(1, 1, height, width, seed=1)
         if period:
             image[..., ::period] = 0.0
-        after = developed(medium, image, z, exposure="auto")
+        after = developed(medium, image, z, metered=True)
         assert luminance(after) == pytest.approx(luminance(image), rel=0.04)
 
 
@@ -106,20 +101,20 @@ def test_no_stops_bring_more_pixels_above_white(
 def test_on_a_wall_that_lamps_light_evenly_the_mean_luminance_is_kept() -> None:
     image, z = 0.5 * rand(1, 3, 60, 80), torch.full((1, 1, 60, 80), 5.0).double()
     even = Light((Lamp((0.0, 0.0, -100.0), 1e4),), daylight=0.0)
-    gain = Development("auto").gain(image, z, CLEAR, even.curves(CLEAR, z, WIDE))
+    gain = Development(metered=True).gain(image, z, CLEAR, even.curves(CLEAR, z, WIDE))
     after = exposed(form_image(image, z, CLEAR, light=even).image, gain)
     assert luminance(after) == pytest.approx(luminance(image), rel=0.02)
 
 
 def test_the_gain_is_bounded() -> None:
     image, z = picture().double(), torch.full((1, 1, 32, 40), 3.0).double()
-    development = Development("auto")
+    development = Development(metered=True)
     for depth, scene in ((300.0, image), (60.0, image), (60.0, 0 * image)):
         gain = development.gain(scene, z, Medium.from_water("1C", vertical_depth=depth))
         assert GAINS[0] <= float(gain) <= GAINS[1]
     bright = Medium.from_water("III", vertical_depth=10.0, mu=1.0, g=0.05)
     black, almost = (
-        developed(bright, torch.full_like(image, v), z, exposure="auto").mean() for v in (0, 1e-6)
+        developed(bright, torch.full_like(image, v), z, metered=True).mean() for v in (0, 1e-6)
     )
     assert black == pytest.approx(float(almost), rel=1e-3)
     # and no more blurs are asked for than there are
@@ -235,7 +230,7 @@ DARK = Medium.from_water("3C", vertical_depth=50.0, g=0.0, mu=0.0, surfaces="spe
     [
         *[(ALL, colour, 0.0) for colour in ((0, 0, 0), (1, 1, 1), (30, 0, 0), (-1, 0, -2))],
         (STAGES["less contrast"], (0, 0, 0), 0.0),
-        ({"exposure": "auto"}, (1, 1, 1), 900.0),  # light underflows
+        ({"metered": True}, (1, 1, 1), 900.0),  # light underflows
         ({"white_balance": 0.5}, (1, 1, 1), 900.0),
     ],
 )

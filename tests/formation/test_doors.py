@@ -68,7 +68,6 @@ DOORS: list[tuple[Door, str, Any, str]] = [
     (Development, "white_balance", (2.0, 1.0), "three numbers"),  # the loops would read past it
     (Development, "gamut", 2.0, r"in \[0, 1\]"),
     (Development, "noise", 8000, r"must be a uwaug\.Sensor, got int"),
-    (Development, "", {"exposure": "auto", "metered": False}, "exposure 'auto' is metered"),
     (lambda full_well: Development(noise=Sensor(full_well)), "full_well", 0, "≥ 1"),
     (lambda full_well: Development(noise=Sensor(full_well)), "full_well", (1e3, 2e3), "1000"),
     (left, "distance", HOLED, "is NaN at 1 and negative at 1"),

@@ -107,7 +107,7 @@ def test_batches_pictures_without_one_and_empty_ones() -> None:
     image, z, field = picture(batch=2), distances(batch=2), 0.7 + 0.6 * rand(2, 1, 32, 40).float()
     close(degrade(image[1], z[1], field[1]), degrade(image, z, field)[1], 1e-6)
     assert Underwater(MEDIA["batch"]())(image[0], z[0]).shape == (2, 3, 32, 40)
-    for camera in (uwaug.Development(), uwaug.Development("auto")):
+    for camera in (uwaug.Development(), uwaug.Development(metered=True)):
         degrade = Underwater(coastal(), development=camera)
         for empty in ((image[:0], z[:0]), (image[..., :0, :], z[..., :0, :])):
             assert degrade(*empty).shape == empty[0].shape
@@ -166,7 +166,7 @@ SETTINGS = {
     "unit of widths": Setting(coastal(point_spread=PointSpread(1.2, 0.8, unit="paper"))),
     "snow": Setting(WATER.with_snow(uwaug.MarineSnow(50_000, seed=2))),
     "light": Setting(WATER, uwaug.Light([uwaug.Lamp(power=2.0)], daylight=0.3, pitch=20.0)),
-    "development": Setting(WATER, development=uwaug.Development("auto", tone=1.3)),
+    "development": Setting(WATER, development=uwaug.Development(metered=True, tone=1.3)),
     "view": Setting(WATER, uwaug.Light(pitch=20.0), view=uwaug.View(20.0)),
     "color space": Setting(WATER, color_space="linear"),
 }

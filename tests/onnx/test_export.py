@@ -150,7 +150,7 @@ def test_a_file_with_a_lamp(tmp_path, coefficients, space) -> None:
         apart = run(image, distance, other, light) - exact
         assert apart.abs().max() < 2e-5 * exact.max()
     for light in (Light([lamp]), Light(pitch=3.0), Light([replace(lamp, cone=30.0)], pitch=3.0)):
-        with pytest.raises(ValueError, match="light: the file takes lamps of other power"):
+        with pytest.raises(ValueError, match=r"light: the file takes .* with other powers"):
             run(image, distance, other, light)
 
 
@@ -198,7 +198,7 @@ def test_a_graph_that_returns_its_input_is_refused(tmp_path) -> None:
         check_onnx(without_graph(tmp_path / "a.onnx", CLEAR), CLEAR)
     nothing = Medium.from_coefficients((0.0,) * 3, (0.0,) * 3, (0.0,) * 3)
     module = Underwater(nothing, (1.0, 5.0))
-    with pytest.raises(ValueError, match="a graph that returns its input would pass"):
+    with pytest.raises(ValueError, match="too little to check"):
         check_onnx(without_graph(tmp_path / "b.onnx", module), module)
 
 

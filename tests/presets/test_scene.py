@@ -32,7 +32,7 @@ def test_a_large_picture_is_reduced_in_light_and_its_distances_stay_measured_one
 def test_what_cannot_be_drawn():
     for image, distance, message in (
         (torch.zeros(3, 8, 9), torch.ones(1, 9, 8), "height and width must agree"),
-        (torch.zeros(3, 8, 81), torch.ones(1, 8, 81), "got 81×8 px: crop it"),
+        (torch.zeros(3, 8, 81), torch.ones(1, 8, 81), "81×8 px are too narrow, crop it"),
         (torch.zeros(3, 8, 9), torch.full((1, 8, 9), torch.nan), "expected metres ≥ 0"),
         (torch.full((3, 8, 9), 255.0), torch.ones(1, 8, 9), "255"),
     ):

@@ -105,9 +105,16 @@ def plan_blur(
     checks.tolerance(tolerance)
     checks.one_of("shape", shape, get_args(Shape))
     checks.within("longest", longest, 1)
+    return planned(float(sigma_min), float(sigma_max), float(tolerance), shape, longest, shared)
+
+
+def planned(
+    low: float, high: float, tolerance: float, shape: Shape, longest: float, shared: bool
+) -> BlurPlan:
+    """As `plan_blur`, unchecked."""
     # in octaves, so that sizes share plans; a tiny picture would ask too much of narrow blurs
     octave = max(octave_steps(longest, 1, math.ceil), 256.0) if shape == "exponential" else 512.0
-    return _plan_blur(float(sigma_min), float(sigma_max), float(tolerance), shape, octave, shared)
+    return _plan_blur(low, high, tolerance, shape, octave, shared)
 
 
 @lru_cache(maxsize=1024)

@@ -85,7 +85,7 @@ class Network(Source):
         return self.holds.reach()
 
     @property
-    def has_size(self) -> bool:
+    def has_size(self) -> bool:  # type: ignore[override]
         return self.holds.has_size
 
     def placed(

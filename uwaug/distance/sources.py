@@ -45,17 +45,13 @@ class Source(Noun):
 
     reads_maps: ClassVar[bool] = True  # of which each picture brings one
     reads_pictures: ClassVar[bool] = False  # as sRGB; else their size and type alone count
+    has_size = True  # scenes are as large as they are, whatever the water
 
     def reach(self) -> tuple[float, float] | None:
         """Nearest and farthest distance (m) of all pictures; None where they follow from maps, or
         from the water.
         """
         return None
-
-    @property
-    def has_size(self) -> bool:
-        """True if scenes are as large as they are, whatever the water."""
-        return True
 
     def placed(
         self, drawn: Drawn, metres_for: Callable[[float], float], farthest: float = math.inf
@@ -151,7 +147,7 @@ class Placed(Source):
         return (self._ends["near"][0], self._ends["far"][1]) if self.has_size else None
 
     @property
-    def has_size(self) -> bool:
+    def has_size(self) -> bool:  # type: ignore[override]
         return self.near is not None and self.far is not None
 
     def placed(

@@ -64,7 +64,9 @@ def in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
     media = Medium.stack(
         Medium.from_water(water, vertical_depth=_DEPTH_M, surfaces="spectral") for water in waters
     )
-    return Underwater(media, None, development=Development("auto", gamut=1.0), view=scene.view)
+    return Underwater(
+        media, None, development=Development(metered=True, gamut=1.0), view=scene.view
+    )
 
 
 def sheet_of(scene: Scene, cells: Sequence[Cell], heading: str, caption: str) -> Image.Image:

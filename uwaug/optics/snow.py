@@ -53,8 +53,8 @@ class MarineSnow(Seeded):
             others, evenly spread, send less.
         aperture: focal length of the lens over its f-number, m.
         focus: distance at which the lens is sharp, m.
-        seed: a whole number from 0 to 2^32 − 1, for the same snow in all pictures of a shape, of
-            any size; None for new snow each time. Pictures that are drawn record their own.
+        seed: a whole number from 0 to 2^32 − 1, for the same snow in all pictures of a shape; None
+            for new snow each time.
         drift: distances by which the particles have moved to the right, down and away from the
             camera, m: less its own motion. New ones enter at the side.
 
