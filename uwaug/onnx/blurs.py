@@ -67,13 +67,13 @@ class Blurs(nn.Module):
         """The half picture with rows on the grid of each wide blur, by one product."""
         wide = [blur for blur in self.stack if isinstance(blur, _Wide)]
         if wide:
-            shrink = [blur.matrices(size[_ROWS])[0] for blur in wide]
+            shrink = [blur.shrinking(size[_ROWS], half.shape[_ROWS]) for blur in wide]
             cells = [matrix.shape[0] for matrix in shrink]  # len() of it would be fixed in a graph
             yield from torch.split(torch.cat(shrink) @ half, cells, _ROWS)
 
 
 class _Half(nn.Module):
-    """The half picture, see `uwaug.blur.kernels.HALVING`."""
+    """The half picture up to whole periods, mirrored, see `uwaug.blur.kernels.HALVING`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -85,9 +85,8 @@ class _Half(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         window = self.get_buffer("window")
         for axis in (_ROWS, _COLUMNS):
-            size = x.shape[axis]
-            x = _folded(x, axis, 2 * size, self.lead, self.lead, PERIOD)
-            x = _strided(x, window, PERIOD, axis).narrow(axis, 0, (size + 1) // 2)
+            x = _folded(x, axis, 2 * x.shape[axis], self.lead, self.lead, PERIOD)
+            x = _strided(x, window, PERIOD, axis)
         return x
 
 
@@ -157,29 +156,33 @@ class _Wide(nn.Module):
 
     def forward(self, x: Tensor, size: torch.Size) -> Tensor:
         """Blur a half picture whose rows are on the grid, of a picture of `size`."""
-        shrink, enlarge = self.matrices(size[_COLUMNS])
-        return _by_phase(self.matrices(size[_ROWS])[1]) @ (x @ shrink.t() @ enlarge.t())
+        shrink = self.shrinking(size[_COLUMNS], x.shape[_COLUMNS])
+        wide = x @ shrink.t() @ self.enlarging(size[_COLUMNS]).t()
+        return _by_phase(self.enlarging(size[_ROWS])) @ wide
 
-    def matrices(self, size: int) -> tuple[Tensor, Tensor]:
-        """Matrices to the grid (cells, half of the size) and back (size, cells)."""
-        kernel = self.get_buffer("shrink")
+    def _cells(self, size: int) -> int:
         # all numbers are positive, as ONNX's division truncates
-        cells = (size + self.pitch - 1) // self.pitch + 2 * MARGIN
-        half = (size + 1) // 2
+        return (size + self.pitch - 1) // self.pitch + 2 * MARGIN
+
+    def shrinking(self, size: int, half: int) -> Tensor:
+        """Matrix (cells, half) to the grid of an axis of `size` px."""
+        kernel, cells = self.get_buffer("shrink"), self._cells(size)
         first = self.first + self.pitch // 2 * torch.arange(-MARGIN, cells - MARGIN)
-        # from `size`, so that the exporter computes the indices at run time and stores none
+        # from `half`, so that the exporter computes the indices at run time and stores none
         taps = torch.arange(half + kernel.shape[1])[: kernel.shape[1]]
         columns = reflect(first[:, None] + taps, size)
-        shrink = torch.zeros(cells, half, dtype=torch.float32).scatter_add(
-            1, columns, kernel.expand(cells, -1)
-        )
+        shrink = torch.zeros(cells, half, dtype=torch.float32)
+        return shrink.scatter_add(1, columns, kernel.expand(cells, -1))
+
+    def enlarging(self, size: int) -> Tensor:
+        """Matrix (size, cells) back to the picture."""
         px = torch.arange(size)
         pitch = torch.full((1,), self.pitch, dtype=torch.int64)
         phase = torch.remainder(px, pitch)
         first = self.get_buffer("starts")[phase] + (px - phase) // pitch + MARGIN
         columns, weights = first[:, None] + torch.arange(4), self.get_buffer("enlarge")[phase]
-        enlarge = torch.zeros(size, cells, dtype=torch.float32)
-        return shrink, enlarge.scatter_add(1, columns, weights)
+        enlarge = torch.zeros(size, self._cells(size), dtype=torch.float32)
+        return enlarge.scatter_add(1, columns, weights)
 
 
 def _window(first: Tensor, kernel: Tensor) -> Tensor:
