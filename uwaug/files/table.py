@@ -6,7 +6,6 @@ import itertools
 import math
 import os
 import re
-import unicodedata
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,12 +13,12 @@ from typing import NamedTuple
 
 from uwaug._support.atomic import read_text, write_whole
 from uwaug.files import formats
+from uwaug.files.labels import normal
 from uwaug.files.pictures import ENDINGS, MAP_ENDINGS
 from uwaug.files.search import Exclude, pictures_in
 
 SPLITS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
 
-_LABEL_ENDINGS = (*formats.ENDINGS, *formats.OTHERS)  # the latter are refused with a cure
 _FIELD = re.compile(r"\{(\w*)\}")
 _NUMBER = re.compile(r"(\d+\.\d{3,}|\d+)")  # a whole one, or a time in seconds
 
@@ -142,7 +141,7 @@ def propose(
     folder = source.parent if source.is_file() else source
     files = _Files()
     map_of = _finder("distance", distance, MAP_ENDINGS, files)
-    labels_of = _finder("labels", labels, _LABEL_ENDINGS, files)
+    labels_of = _finder("labels", labels, formats.ENDINGS, files)
     rows = []
     for path in paths:
         place = path.relative_to(folder)
@@ -159,7 +158,7 @@ def propose(
                 taken.add(os.path.abspath(file))
     rows = [row for row in rows if os.path.abspath(row.picture) not in taken]
     _require_found("distance", distance, rows, MAP_ENDINGS)
-    _require_found("labels", labels, rows, _LABEL_ENDINGS)
+    _require_found("labels", labels, rows, formats.ENDINGS)
     return _timed(rows) if sequence else rows
 
 
@@ -212,14 +211,6 @@ def in_words(rows: Sequence[Row]) -> str:
 def absolute(file: Path) -> Path:
     """The absolute path of a file, by folders that are no links."""
     return Path(os.path.realpath(file.parent), file.name)
-
-
-def normal(name: str) -> str:
-    """The normal form of a file's name, by which names are compared: accents are composed, and the
-    ending is in small letters.
-    """
-    stem, end = os.path.splitext(unicodedata.normalize("NFC", name))
-    return f"{stem}{end.lower()}"
 
 
 class _Files:
