@@ -114,7 +114,7 @@ def degrade(
         typer.Option(
             "--set",
             help="Set any option, once or more: water.vertical_depth=0:5, light=none; for films "
-            "drift=.004 and motion=[0.02,0,0], m a frame, or motion=12px; quality=80 of JPEG.",
+            "drift=.004 and motion=[0.02,0,0], m a frame; quality=80 of JPEG.",
             metavar="NAME=VALUE",
         ),
     ] = None,
