@@ -17,11 +17,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from uwaug.files.formats import ENDINGS, FORMATS, formats, open_labels
-from uwaug.files.labels import Judged, Labels, judged
-from uwaug.files.masks import Masks
+from uwaug.files.formats import ENDINGS, open_labels
+from uwaug.files.labels import Judged, judged
 from uwaug.files.summary import Result
 from uwaug.files.table import Row
+from uwaug.files.yolo import Yolo
 
 H, W = 6, 8
 SIZE = (H, W)
@@ -67,6 +67,14 @@ def png(values: Any, *palette: int) -> bytes:
     return file.getvalue()
 
 
+def values_of(*columns: tuple[int, int]) -> Any:
+    """Values of a mask (HxW, int), by columns."""
+    values = np.zeros(SIZE, np.int32)
+    for column, value in columns:
+        values[:, column] = value
+    return values
+
+
 def write(path: Path, content: str | bytes) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -82,14 +90,6 @@ def rows(source: Path, *names: str, split: str = "") -> list[Row]:
         labels = source if source.suffix else next(iter(files), None)
         table.append(Row(name, source.parent / "photos" / name, labels=labels, split=split))
     return table
-
-
-def finish(labels: Labels, results: Sequence[Result], out: Path) -> list[str]:
-    """Write the lists of a run; gives what is told."""
-    lists, notes = labels.lists(results)
-    for name, text in lists.items():
-        write(out / name, text)
-    return notes
 
 
 def labelled(
@@ -108,43 +108,20 @@ def labelled(
         place = labels.place(row.name)
         own.write(row.name, place, {label.key for label in objects if not label.kept}, out)
         results.append(Result(row, 0, place, "written", objects=objects))
-    told = finish(labels, results, out)
+    lists, told = labels.lists(results)
+    for name, text in lists.items():
+        write(out / name, text)
     if notes is not None:
         notes += told
     return [list(result.objects) for result in results]
 
 
-# Formats, and what is none
-
-
-def test_the_ending_tells_the_format(tmp_path: Path) -> None:
-    held = {"json": coco(), "TXT": ALL, "png": png(np.ones(SIZE, np.uint8))}
-    for format, (end, text) in zip(FORMATS, held.items(), strict=True):
-        file = write(tmp_path / f"b.{end}", text)
-        assert type(open_labels([Row("b.jpg", tmp_path / "b.jpg", labels=file)])) is format
-        assert f".{end.lower()}" in formats()
-
-
-def test_labels_of_two_formats_are_refused(tmp_path: Path) -> None:
-    write(tmp_path / "labels/1.txt", ALL)
-    write(tmp_path / "labels/2.png", png(np.ones(SIZE, np.uint8)))
-    with pytest.raises(ValueError, match=r"one of these for all rows, got .*1\.txt and .*2\.png"):
-        open_labels(rows(tmp_path / "labels", "1.jpg", "2.jpg"))
-
-
-def test_classes_are_of_yolo(tmp_path: Path) -> None:
-    file = write(tmp_path / "b.json", coco())
-    with pytest.raises(ValueError, match=r"classes \(--classes\) are of YOLO's labels, got .*json"):
-        open_labels(rows(file, "b.jpg"), tmp_path / "data.yaml")
+# What is none
 
 
 HALVES = np.repeat(np.uint8([[0] * 4 + [1] * 4]), H, 0)
-SHARES = "expected a class, and shares"
 POINTS = "numbers are polygons, or have keypoints"
-CLASS = r"expected class cx cy w h; DOTA, KITTI, MOT and VisDrone"
-PANOPTIC = {"image_id": 1, "file_name": "a.png", "segments_info": [{"id": 3226956}]}
 SAME = [IMAGES[0], IMAGES[1] | {"id": 1}]
-BOMB = "- &a0 [x,x,x]\n" + "".join(f"- &a{n} [{f'*a{n - 1},' * 9}]\n" for n in range(1, 30))
 
 
 def first(**changes: Any) -> str:
@@ -152,56 +129,42 @@ def first(**changes: Any) -> str:
     return coco(annotations=[ANNOTATIONS[0] | changes])
 
 
-def image(**changes: Any) -> str:
-    """One whose first image is changed, and has no object."""
-    return coco(images=[IMAGES[0] | changes], annotations=[])
+def pages() -> bytes:
+    file, (one, two) = io.BytesIO(), (Image.fromarray(np.full(SIZE, n, np.uint8)) for n in (1, 2))
+    one.save(file, "TIFF", save_all=True, append_images=[two])
+    return file.getvalue()
 
 
 REFUSED: list[tuple[str, str | bytes, str]] = [
     # file, what it holds, and what is said of it
-    ("a.xml", "<annotation/>", "Pascal VOC.*datum convert"),
-    ("a.csv", "1", r"expected COCO's .*\.json.*\.txt.*\.png"),
+    ("a.xml", "<annotation/>", r"expected COCO's .*\.json.*\.txt.*\.png.*, got .*a\.xml"),
     ("a.json", "[" * 100_000, "is no COCO file"),
-    ("a.json", coco(images=None), "is no COCO file"),
+    ("a.json", '{"videos": [], "annotations": []}', "is no COCO file"),
     ("a.json", coco(annotations=[{"id": 1, "image_id": 9}]), "is no COCO file: KeyError.9"),
     ("a.json", coco(images=[{"id": 1, "coco_url": "a"}]), "is no COCO file.* LVIS"),
     ("a.json", coco(images=SAME, annotations=[]), "is no COCO file: .* an id of its own"),
-    ("a.json", coco(annotations=[PANOPTIC]), "is no COCO file: .*panoptic"),
-    ("a.json", '{"videos": [], "annotations": []}', "is no COCO file: .*YouTube-VIS"),
-    ("a.json", '{"image": {}, "annotations": []}', "is no COCO file: .*SA-1B"),
-    ("a.json", '{"shapes": [], "imagePath": "a"}', "is no COCO file: .*labelme"),
     ("a.json", coco(annotations=[{"id": 7, "image_id": 1}]), "annotation 7: KeyError.'bbox'"),
-    ("a.json", first(bbox=[1, 2]), "annotation 7: ValueError"),
     ("a.json", first(segmentation=[[0, 1, 2]]), "annotation 7"),
     ("a.json", first(segmentation={"size": SIZE, "counts": [40]}), "annotation 7: .*reshape"),
     ("a.json", first(segmentation={"size": [W, H], "counts": [48]}), r"7: .*lengths of \[8, 6\]"),
-    ("a.json", image(width=99), "is of 99×6 px, its picture of 8×6"),
-    ("a.json", image(width=H, height=W), "is of 6×8 px, .*, as EXIF .* exchange width"),
-    ("a.json", named("b.jpg"), r"no file_name is the end .*reef/a.jpg \(there are b.jpg\)"),
-    ("labels/reef/a.txt", f"{ALL}0 10 20 30 40", f"line 2: {SHARES} of width and height"),
-    ("labels/reef/a.txt", f"{ALL}0 nan .5 .5 .5", f"line 2: {SHARES}"),
-    ("labels/reef/a.txt", f"{ALL}0 .5 .5", f"line 2: {SHARES}"),
-    ("labels/reef/a.txt", f"{ALL}0 .5 .5 .5", f"line 2: {SHARES}"),
-    ("labels/reef/a.txt", f"{ALL}fish", "line 2: "),
+    ("a.json", coco(images=[IMAGES[0] | {"width": 99}], annotations=[]), "is of 99×6 px, .* 8×6"),
+    ("a.json", coco(images=[IMAGES[0] | {"width": H, "height": W}], annotations=[]), "EXIF turns"),
+    ("a.json", named("b.jpg"), r"no file_name is the end .*reef/a.jpg, got b.jpg"),
+    ("labels/reef/a.txt", f"{ALL}0 10 20 30 40", "line 2: expected a class, and shares of width"),
+    ("labels/reef/a.txt", f"{ALL}0 nan .5 .5 .5", "line 2: expected"),
+    ("labels/reef/a.txt", f"{ALL}0 .5 .5 .5", "line 2: expected"),
     ("labels/reef/a.txt", f"{ALL}0 a b c d", "line 2: could not convert"),
-    ("labels/reef/a.txt", f"{ALL}0 .5 .5 .2 .2 7", f"line 2: {SHARES}"),
+    ("labels/reef/a.txt", f"{ALL}0 .5 .5 .2 .2 7", "line 2: expected"),
     ("labels/reef/a.txt", f"{ALL}0 .1 .15 .16 .2 .05 .1 2 .12 .2 2", "line 2: .*need a kpt_shape"),
-    ("labels/reef/a.txt", f"{ALL}0 .1 .15 .16 .2 .05 .1 1", "line 2: .*need a kpt_shape"),
     ("labels/reef/a.txt", "0 .25 .5 .4 .9 .2 .5 2 .3 .6 1", POINTS),
-    ("labels/reef/a.txt", "0 .25 .5 .4 .9 .2 .5", POINTS),
-    ("labels/reef/a.txt", "fish .5 .5 1 1\n", CLASS),
-    ("labels/reef/a.txt", "imagesource:GoogleEarth\ngsd:0.1\n1 1 9 1 9 9 1 9 ship 0\n", CLASS),
-    ("labels/reef/a.txt", "Car 0.00 0 -1.58 58 17 61 20 1.6 1.6 3.6 -6 1.7 46 -1.5\n", CLASS),
-    ("labels/reef/a.txt", "684,8,273,116,0,0,0,0\n", CLASS),
+    ("labels/reef/a.txt", "Car 0.00 0 -1.58 58 17 61 20 1.6 1.6", "expected class cx cy w h; DOTA"),
+    ("labels/reef/a.txt", "684,8,273,116,0,0,0,0\n", "expected class cx cy w h; DOTA"),
     ("labels/reef/a.txt", "Müll 1 1 1 1".encode("cp1252"), "is no text in UTF-8"),
     ("labels/reef/a.png", png(np.zeros((3, 4), np.uint8)), "is of 4×3 px, its picture of 8×6 px"),
     ("labels/reef/a.png", png(pixels(40, 40)), "a.png: .* colours are"),
     ("labels/reef/a.png", png(np.zeros((*SIZE, 4), np.uint8)), "one channel, or RGB, got RGBA"),
-    (
-        "labels/reef/a.png",
-        png(HALVES, 0, 150, 0, 0, 0, 0),
-        r"0 is \(0, 150, 0\), and 1 is black: which is backgr",
-    ),
+    ("labels/reef/a.tif", pages(), "expected one mask, got 2"),
+    ("labels/reef/a.png", png(HALVES, 0, 150, 0, 0, 0, 0), "another number is black: which is"),
 ]
 
 
@@ -212,6 +175,15 @@ def test_files_that_are_refused(tmp_path: Path, name: str, held: str | bytes, me
     with pytest.raises(ValueError, match=message) as refused:
         judged(open_labels(rows(source, "reef/a.jpg")), "reef/a.jpg", LEFT, None)
     assert str(source) in str(refused.value)
+
+
+def test_labels_of_two_formats_and_classes_of_masks_are_refused(tmp_path: Path) -> None:
+    write(tmp_path / "labels/1.txt", ALL)
+    write(tmp_path / "labels/2.png", png(HALVES))
+    with pytest.raises(ValueError, match=r"one of these for all rows, got .*1\.txt and .*2\.png"):
+        open_labels(rows(tmp_path / "labels", "1.jpg", "2.jpg"))
+    with pytest.raises(ValueError, match=r"classes \(--classes\) are of YOLO's labels, got .*png"):
+        open_labels(rows(tmp_path / "labels", "2.jpg"), tmp_path / "data.yaml")
 
 
 def test_one_damaged_file_is_left_to_its_picture(tmp_path: Path) -> None:
@@ -267,8 +239,7 @@ def test_coco_of_several_pictures_from_one(tmp_path: Path) -> None:
     labels = open_labels([row, row._replace(name="c.jpg")])  # two rows of one picture
     objects = judged(labels, "b.jpg", LEFT, None)
     results = [Result(row, i, f"b_{i}.png", "written", objects=objects) for i in (1, 2)]
-    finish(labels, results, tmp_path / "o")
-    written = json.loads((tmp_path / "o/a.json").read_text())
+    written = json.loads(labels.lists(results)[0]["a.json"])
     images = [(image["id"], image["file_name"]) for image in written["images"]]
     assert images == [(1, "b_1.png"), (2, "b_2.png")]
     annotations = [(entry["id"], entry["image_id"]) for entry in written["annotations"]]
@@ -316,7 +287,6 @@ def test_odd_objects(tmp_path: Path, changes: dict[str, Any], contrast: float) -
     [
         ("images/x.jpg", "ds/images/x.jpg", True),
         ("images\\x.jpg", "ds/images/x.jpg", True),
-        (".\\images\\train\\x.jpg", "ds/images/train/x.jpg", True),
         ("./x.jpg", "photos/deep/x.jpg", True),
         ("x.JPG", "photos/x.jpg", True),
         ("e\u0301 1.jpg", "photos/\xe9 1.jpg", True),
@@ -324,20 +294,17 @@ def test_odd_objects(tmp_path: Path, changes: dict[str, Any], contrast: float) -
         ("images/x.jpg", "photos/x.jpg", False),
         ("/home/me/ds/images/x.jpg", "ds/images/x.jpg", False),
         ("C:\\me\\reef\\x.jpg", "elsewhere/reef/x.jpg", False),
-        ("a/frames/x.jpg", "b/frames/x.jpg", False),
         ("ax.jpg", "x.jpg", False),
         ("X.jpg", "x.jpg", False),
-        ("images/a%201.jpg", "images/a 1.jpg", False),
     ],
 )
 def test_a_file_name_is_the_end_of_a_path(
     tmp_path: Path, file_name: str, picture: str, is_of_it: bool
 ) -> None:
-    file_name = file_name.format(folder=tmp_path)
-    file = write(tmp_path / "a.json", named(file_name))
+    file = write(tmp_path / "a.json", named(file_name.format(folder=tmp_path)))
     row = Row(picture, tmp_path / picture, labels=file)
     if is_of_it:
-        assert open_labels([row]).of[picture].image["file_name"] == file_name
+        assert open_labels([row]).of.keys() == {picture}
     else:
         with pytest.raises(ValueError, match="no file_name is the end of a path such as"):
             open_labels([row])
@@ -413,39 +380,29 @@ def test_yolo(tmp_path: Path) -> None:
     assert notes == [NUMBERS]
 
 
-def test_splits_are_those_of_rows(tmp_path: Path) -> None:
+def test_a_set_without_train_or_val_is_told_of(tmp_path: Path) -> None:
     write(tmp_path / "labels/a.txt", ALL)
     notes: list[str] = []
     table = rows(tmp_path / "labels", "a.png", "b.png", split="test")
     labelled(table, tmp_path / "out", notes=notes)
     assert (tmp_path / "out/train.txt").read_text() == ""
     assert (tmp_path / "out/test.txt").read_text() == "./images/a.png\n./images/b.png\n"
-    description = yaml.safe_load((tmp_path / "out/data.yaml").read_text())
-    assert description == {"train": "train.txt", "test": "test.txt", "names": {0: "0"}}
     assert notes == ["no picture is of the split train: train.txt is empty", NO_VAL, NUMBERS]
 
 
 @pytest.mark.parametrize(
-    "name, place",
+    "name, place, labels",
     [
-        ("1.png", "images/1.png"),
-        ("train/1.png", "images/train/1.png"),
-        ("train/images/1.png", "train/images/1.png"),
-        ("images/a/images/1.png", "images/a/images/1.png"),
-        ("images.png", "images/images.png"),
-        ("a.b.png", "images/a.b.png"),
+        ("1.png", "images/1.png", "labels/1.txt"),
+        ("train/images/1.png", "train/images/1.png", "train/labels/1.txt"),
+        ("images/a/images/1.png", "images/a/images/1.png", "images/a/labels/1.txt"),
+        ("a.b.png", "images/a.b.png", "labels/a.b.txt"),
     ],
 )
-def test_trainers_find_labels(tmp_path: Path, name: str, place: str) -> None:
-    write(tmp_path / "labels" / f"{name[:-4]}.txt", ALL)
-    table = rows(tmp_path / "labels", name)
-    ((label,),) = labelled(table, tmp_path / "out")
-    assert open_labels(table).place(name) == place
-    # as Ultralytics' img2label_paths
-    picture = str(tmp_path / "out" / place)
-    images, labels = f"{os.sep}images{os.sep}", f"{os.sep}labels{os.sep}"
-    assert Path(labels.join(picture.rsplit(images, 1)).rsplit(".", 1)[0] + ".txt").is_file()
-    assert label.contrast == pytest.approx((0.9 + 0.01) / 2)
+def test_labels_lie_where_ultralytics_looks(name: str, place: str, labels: str) -> None:
+    yolo = Yolo({})
+    assert yolo.place(name) == place
+    assert yolo.files(place, Path()) == [Path(labels)]
 
 
 def test_a_background_takes_no_labels_of_another(tmp_path: Path) -> None:
@@ -459,7 +416,6 @@ PLACED = "path: a\nval: b\ndownload: |\n  import os\n"
 DESCRIBED: list[tuple[dict[str, str], str | None, str | None]] = [
     # files beside the folder of labels; the one that is named; the one that is taken
     ({"data.yaml": f"{PLACED}names: {{0: fish, 1: 'crab: red'}}\nnc: 2"}, None, "data.yaml"),
-    ({"labels/train/data.yaml": "names: [a]"}, None, "labels/train/data.yaml"),
     ({"data.yaml": "names: [a]", "labels/data.yaml": "names: [b]"}, None, "labels/data.yaml"),
     ({"data.yaml": "names: [a]", "x.yml": "{train: c, names: [b]}"}, "x.yml", "x.yml"),
     ({"../data.yaml": "names: [a]", "coco.yaml": "names: [b]"}, None, None),
@@ -467,14 +423,13 @@ DESCRIBED: list[tuple[dict[str, str], str | None, str | None]] = [
 
 
 @pytest.mark.parametrize("files, classes, taken", DESCRIBED)
-@pytest.mark.parametrize("coding", ["utf-8-sig", "utf-16"])
 def test_classes_are_of_one_file(
-    tmp_path: Path, files: dict[str, str], classes: str | None, taken: str | None, coding: str
+    tmp_path: Path, files: dict[str, str], classes: str | None, taken: str | None
 ) -> None:
     folder, notes = tmp_path / "data/ds", []
     write(folder / "labels/train/1.txt", ALL)
     for name, text in files.items():
-        write(folder / name, text.encode(coding))
+        write(folder / name, text.encode("utf-16" if name.startswith("labels") else "utf-8-sig"))
     table, source = rows(folder / "labels/train", "1.png"), classes and folder / classes
     labelled(table, tmp_path / "out", classes=source, notes=notes)
     written = yaml.safe_load((tmp_path / "out/data.yaml").read_text())
@@ -486,7 +441,7 @@ def test_classes_are_of_one_file(
     assert notes == [NO_VAL, told]
 
 
-@pytest.mark.parametrize("text", ["names: [fish", "- fish", "epochs: 3", "fish\ncrab", BOMB])
+@pytest.mark.parametrize("text", ["names: [fish", "- fish", "epochs: 3"])
 def test_what_is_no_data_yaml(tmp_path: Path, text: str) -> None:
     path = write(tmp_path / "data.yaml", text)
     write(tmp_path / "labels/1.txt", ALL)
@@ -494,24 +449,21 @@ def test_what_is_no_data_yaml(tmp_path: Path, text: str) -> None:
         open_labels(rows(tmp_path / "labels", "1.png"))
 
 
-DRY: dict[str, tuple[str, list[str]]] = {
+DRY = [
     # what data.yaml says; the dry pictures to validate on, below its folder
-    "a folder": ("val: images/val", ["images/val"]),
-    "an absolute one": ("val: {ds}/images/val", ["images/val"]),
-    "below a path": ("path: images\nval: val", ["images/val"]),
-    "below a path of another machine": ("path: /content/ds\nval: images/val", ["images/val"]),
-    "as Roboflow's": ("val: ../valid/images", ["valid/images"]),
-    "a list": ("val: lists/val.txt", ["lists/val.txt"]),
-    "two": ("val: [images/val, valid/images]", ["images/val", "valid/images"]),
-    "one of two": ("val: [images/val, elsewhere]", []),
-    "elsewhere": ("val: /content/ds/images/val", []),
-    "none": ("path: images", []),
-}
+    ("val: images/val", ["images/val"]),
+    ("val: {ds}/images/val", ["images/val"]),
+    ("path: images\nval: val", ["images/val"]),
+    ("path: /content/ds\nval: images/val", ["images/val"]),
+    ("val: ../valid/images", ["valid/images"]),  # Roboflow
+    ("val: [images/val, lists/val.txt]", ["images/val", "lists/val.txt"]),
+    ("val: [images/val, elsewhere]", []),
+    ("path: images", []),
+]
 
 
-@pytest.mark.parametrize("case", DRY)
-def test_what_one_validates_on_stays_dry(tmp_path: Path, case: str) -> None:
-    text, places = DRY[case]
+@pytest.mark.parametrize("text, places", DRY)
+def test_what_one_validates_on_stays_dry(tmp_path: Path, text: str, places: list[str]) -> None:
     ds, notes = tmp_path / "ds", []
     for name in ("images/val/2.png", "valid/images/2.png"):
         save(ds / name, pixels())
@@ -527,30 +479,21 @@ def test_what_one_validates_on_stays_dry(tmp_path: Path, case: str) -> None:
 
 
 LEAKS = [
-    # data.yaml; the list val.txt; splits of images/a/1.png and images/b/2.png; the one refused
-    ("val: images/b", "", ("", ""), "images/b/2.png is of val there, but of train here"),
-    ("val: images/b", "", ("", "train"), "images/b/2.png is of val there, but of train here"),
-    ("val: images/b", "", ("", "val"), ""),
-    ("val: images/b\ntrain: images/b", "", ("", "val"), ""),
-    ("val: images\ntrain: images", "", ("", ""), ""),  # as COCO128 has it
-    (
-        "val: [images/c, images/a]",
-        "",
-        ("test", "val"),
-        "images/a/1.png is of val there, but of test",
-    ),
-    ("val: /content/ds/b/images", "", ("", ""), "images/b/2.png is of val"),
-    ("val: /content/ds/b/images", "", ("", "train"), ""),
-    ("val: val.txt", "./images/b/2.png\n", ("", ""), "images/b/2.png is of val"),
-    ("val: val.txt", "./images/b/2.png\n", ("train", "val"), ""),
-    ("val: val.txt", "D:\\me\\b\\2.png\r\n", ("", ""), "images/b/2.png is of val"),
-    ("val: val.txt", "\n", ("", ""), ""),
+    # data.yaml; the list val.txt; splits of images/a/1.png and images/b/2.png; is that refused
+    ("val: images/b", "", ("", ""), True),
+    ("val: images/b", "", ("", "train"), True),
+    ("val: images/b", "", ("", "val"), False),
+    ("val: images\ntrain: images", "", ("", ""), False),  # as COCO128 has it
+    ("val: [images/c, images/b]", "", ("val", "test"), True),
+    ("val: val.txt", "./images/b/2.png\n\n", ("", ""), True),
+    ("val: val.txt", "./images/b/2.png\n\n", ("train", "val"), False),
+    ("val: val.txt", "\n", ("", ""), False),
 ]
 
 
 @pytest.mark.parametrize("text, lines, splits, refused", LEAKS)
 def test_what_one_validates_on_is_not_trained_on(
-    tmp_path: Path, text: str, lines: str, splits: tuple[str, str], refused: str
+    tmp_path: Path, text: str, lines: str, splits: tuple[str, str], refused: bool
 ) -> None:
     write(tmp_path / "data.yaml", f"{text}\nnames: [fish]\n")
     write(tmp_path / "val.txt", lines)
@@ -560,32 +503,30 @@ def test_what_one_validates_on_is_not_trained_on(
         labels = write(tmp_path / f"labels/{name}.txt", ALL)
         table.append(Row(f"images/{name}.png", picture, labels=labels, split=split))
     if refused:
-        with pytest.raises(ValueError, match=f"data.yaml: {refused}"):
+        with pytest.raises(ValueError, match=r"data\.yaml: images/b/2\.png is of val"):
             open_labels(table)
     else:
         open_labels(table)
 
 
-POSES = {
-    "0 .25 .5 .4 .9 .2 .5 2 .3 .6 1": [2, 3],
-    "0 .25 .5 .4 .9 .2 .5 1": [1, 3],
-    "0 .25 .5 .4 .9 .2 .5": [1, 2],
-    "0 .25 .5 .4 .9 .2 .5 .3 .6": [2, 2],
-}
-
-
-@pytest.mark.parametrize("line", POSES)
-@pytest.mark.parametrize("confidence", ["", " .97"])
-def test_keypoints_of_which_the_number_is_said(tmp_path: Path, line: str, confidence: str) -> None:
-    write(tmp_path / "ds/labels/1.txt", f"{line}{confidence}\n")
+@pytest.mark.parametrize(
+    "line, shape",
+    [
+        ("0 .25 .5 .4 .9 .2 .5 2 .3 .6 1", [2, 3]),
+        ("0 .25 .5 .4 .9 .2 .5", [1, 2]),
+        ("0 .25 .5 .4 .9 .2 .5 .3 .6", [2, 2]),
+    ],
+)
+def test_keypoints_of_which_the_number_is_said(tmp_path: Path, line: str, shape: Any) -> None:
+    write(tmp_path / "ds/labels/1.txt", f"{line} .97\n{line}\n")  # with confidence, or without
     table = rows(tmp_path / "ds/labels", "1.png")
     with pytest.raises(ValueError, match=f"{tmp_path / 'ds/labels'}: .*{POINTS}"):
         open_labels(table)
     # whoever does as it says
-    classes = write(tmp_path / "fish.yaml", f"names: [fish]\nkpt_shape: {POSES[line]}\n")
-    ((label,),) = labelled(table, tmp_path / "out", classes=classes)
-    assert label.contrast == pytest.approx(0.9)
-    assert (tmp_path / "out/labels/1.txt").read_text() == f"{line}\n"
+    classes = write(tmp_path / "fish.yaml", f"names: [fish]\nkpt_shape: {shape}\n")
+    (boxes,) = labelled(table, tmp_path / "out", classes=classes)
+    assert [box.contrast for box in boxes] == pytest.approx([0.9, 0.9])
+    assert (tmp_path / "out/labels/1.txt").read_text() == f"{line}\n{line}\n"
     classes.write_text("names: [fish]\nkpt_shape: [9, 3]\n")
     with pytest.raises(ValueError, match="line 1: expected a class, a box and 9 keypoints of 3"):
         labelled(table, tmp_path / "out", classes=classes)
@@ -619,14 +560,6 @@ def test_a_sixth_number_is_a_confidence(tmp_path: Path) -> None:
 # Masks
 
 
-def values_of(*columns: tuple[int, int]) -> Any:
-    """Values of a mask (HxW, int), by columns."""
-    values = np.zeros(SIZE, np.int32)
-    for column, value in columns:
-        values[:, column] = value
-    return values
-
-
 def of_colours(values: Any) -> Any:
     """A mask in colour (HxWx3, uint8)."""
     return np.stack([values >> 16, values >> 8 & 255, values & 255], -1).astype(np.uint8)
@@ -637,7 +570,7 @@ BOTH = values_of((0, 5), (2, 7), (7, 200))
 KEYS = [(5, 0.9, True), (7, 0.9, True), (200, 0.01, False)]
 MASKS: dict[str, tuple[Any, list[int], str, list[tuple[int, float, bool]]]] = {
     # pixels, palette, ending, and objects
-    **{f"8 bits {end}": (BOTH.astype(np.uint8), [], end, KEYS) for end in Masks.endings},
+    **{f"8 bits {end}": (BOTH.astype(np.uint8), [], end, KEYS) for end in (".png", ".gif")},
     "palette": (BOTH.astype(np.uint8), RED, ".png", KEYS),
     **{f"16 bits {end}": (BOTH.astype(np.uint16), [], end, KEYS) for end in (".png", ".tif")},
     **{f"1 bit {end}": (BOTH > 100, [], end, [(255, 0.01, False)]) for end in (".png", ".bmp")},
@@ -670,14 +603,6 @@ def test_masks(tmp_path: Path, case: str) -> None:
     assert np.array_equal(pixels, np.where(far, 0, mask * 255 if mask.dtype == bool else mask))
 
 
-def test_masks_of_several_pages_are_refused(tmp_path: Path) -> None:
-    pages = [Image.fromarray(np.full(SIZE, value, np.uint8)) for value in (1, 2)]
-    (tmp_path / "masks").mkdir()
-    pages[0].save(tmp_path / "masks/1.tif", save_all=True, append_images=pages[1:])
-    with pytest.raises(ValueError, match="expected one mask, got 2"):
-        open_labels(rows(tmp_path / "masks", "1.jpg"))
-
-
 @pytest.mark.parametrize(
     "values, keys",
     [
@@ -694,23 +619,9 @@ def test_255_beside_small_values_says_nothing(
     mask = values_of(*((-1 - column, value) for column, value in enumerate(values)))
     save(tmp_path / "masks/1.png", mask.astype(np.uint8))
     save(tmp_path / "masks/2.png", np.where(mask == 255, mask, 0).astype(np.uint8))
-    notes: list[str] = []
-    table = rows(tmp_path / "masks", "1.jpg", "2.jpg")
-    objects, alone = labelled(table, tmp_path / "out", notes=notes)
+    objects, alone = labelled(rows(tmp_path / "masks", "1.jpg", "2.jpg"), tmp_path / "out")
     assert [label.key for label in objects] == keys
     is_ignored = 255 in values and 255 not in keys
     assert [label.key for label in alone] == ([255] if 255 in keys else [])
-    assert ["255" in note for note in notes] == [True] * is_ignored
     with Image.open(tmp_path / "out/labels/1.png") as written:  # all is far
         assert np.array_equal(written, np.where(mask == 255, 255 * is_ignored, 0))
-
-
-def test_255_says_nothing_in_masks_that_nobody_looked_at(tmp_path: Path) -> None:
-    names = [f"{i:03}.jpg" for i in range(40)]
-    for number, name in enumerate(names):
-        mask = values_of((-1, 1), (-2, 255 * (number == 1)))
-        save(tmp_path / "masks" / name.replace("jpg", "png"), mask.astype(np.uint8))
-    objects = labelled(rows(tmp_path / "masks", *names), tmp_path / "out")
-    assert [[label.key for label in of] for of in objects] == [[1]] * 40
-    with Image.open(tmp_path / "out/labels/001.png") as written:
-        assert np.unique(written).tolist() == [0, 255]

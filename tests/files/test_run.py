@@ -24,8 +24,6 @@ from uwaug import Lamp, Light, Medium, RandomDevelopment, RandomUnderwater, Rand
 from uwaug.files import Recipe, Row, degrade, propose, read_picture, read_record, read_table, replay
 from uwaug.files.pool import on_processes
 from uwaug.files.record import write_record
-from uwaug.files.underwater import _Underwater
-from uwaug.optics.view import WIDE
 from uwaug.transforms.samples import key_of
 
 H, W = 24, 32
@@ -117,32 +115,24 @@ def test_the_table_beside_the_results_makes_the_same_bytes() -> None:
     assert statuses(degrade(RECIPE, again, "out/here", resume=True)) == ["skipped"] * 4
 
 
-# frames are 3 m away
-WAY = (36 / WIDE.focal(W), 0.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    "motion, step",
-    [((0.02, 0.0, -0.1), (0.02, 0.0, -0.1)), ("12px", WAY)],
-)
-def test_frames_of_a_folder_share_a_draw(motion, step) -> None:
+def test_frames_of_a_folder_share_a_draw() -> None:
     for folder in ("one", "other"):
         for number in range(3):
             save(f"films/{folder}/{number}.png", pixels(H, W, seed=number))
     augment = RandomUnderwater(distance=3.0, development=RandomDevelopment(noise=Sensor(2000)))
-    recipe = Recipe(augment, variants=2, motion=motion)
+    step = (0.02, 0.0, -0.1)
+    recipe = Recipe(augment, variants=2, motion=step)
     frames = propose("films", sequence=True)
     assert degrade(recipe, frames, "wet").failures == []
     assert degrade(recipe, frames[::-1], "again", workers=2).failures == []
     pictures = [path for path in content("wet") if path.endswith(".png")]
     assert all(content("wet")[path] == content("again")[path] for path in pictures)
-    records = {path: json.loads(path.read_text()) for path in Path("wet").rglob("*.png.json")}
-    clips = {}
-    for path, record in records.items():
+    clips: dict[Any, Any] = {}
+    for path in Path("wet").rglob("*.png.json"):
+        record = read_record(path)
         (sample,) = record["params"]["samples"]
-        moved = sample.pop("moved")
         frame = int(Path(record["row"]["name"]).stem)
-        assert moved == pytest.approx(0.004 * frame)
+        assert sample.pop("moved") == pytest.approx(0.004 * frame)
         assert sample.pop("motion") == pytest.approx([frame * way for way in step])
         # the noise of a sensor is that of a frame
         noise = sample["development"]["noise"]
@@ -187,20 +177,17 @@ def test_a_film_is_settled_on_a_frame_that_serves() -> None:
 
 def test_odd_scenes_are_told_of() -> None:
     save("depth/1.npy", 50 * metres(H, W))
-    assert degrade(Recipe(WATER), rows(), "blank").blank == ["1.png"]
-    # whatever the water, metres are those of the map
     recipe = Recipe(RandomUnderwater(RandomWater("7C", contrast=0.4)))
-    summary = degrade(recipe, rows(), "out")
+    summary = degrade(recipe, rows()[:2], "out")
     (odd,) = summary.odd
     assert odd.startswith("1.png: pure water has less than a contrast of 0.4 at ")
-    assert degrade(recipe, rows(), "out", resume=True).odd == summary.odd
+    assert degrade(recipe, rows()[:2], "out", resume=True).odd == summary.odd
     for number, result in enumerate(summary.results):
         record = read_record(Path(f"out/{result.place}.json"))
+        # whatever the water, metres are those of the map
         median = float(np.median(np.load(f"depth/{number}.npy")))
         assert record["clarity"]["metres"] == pytest.approx(median, rel=0.01)
-        assert record["clarity"]["asked"] == 0.4
         assert (record["lost"], record["odd"]) == (result.lost, result.odd)
-        assert (record["clarity"]["contents"] == 0) == (number == 1)
 
 
 @pytest.mark.parametrize("shares, blank", [((0.4, 0.6), ["1.png"]), ((0.5, 0.5), [])])
@@ -276,67 +263,32 @@ def test_a_sheet() -> None:
         assert cell[:, 244:].mean() > 250
     before, after = cells[0, 2:4, :36, :240]
     assert before.min() > 240 > 100 > after.min()
-    waters = ["7C", {"chlorophyll": 17.82, "cdom": 1.5, "minerals": 0.0}]
-    record = read_record(Path("out/1.png.json")) | {
-        "params": {"samples": [{"applied": True, "water": {"waters": waters}}]},
-        "clarity": {"metres": 2.345},
-        "contrast": 0.4,
-    }
-    write_record(Path("other.png.json"), record)
-    work = _Underwater(RECIPE, Path("out"))
-    assert work.caption(Path("other.png")) == "2.3 m, contrast 0.40\n7C + chlorophyll=18,cdom=1.5"
 
 
 BOXES = [(24, 18, 120, 54), (24, 120, 216, 162)]  # near, above; far, below: x1, y1, x2, y2
-FAR = np.repeat(np.linspace(0.2, 30, 180), 240).reshape(180, 240)
 
 
-def boxes_as(kind: str) -> None:
-    """Labels of a picture of 240×180 px, in a format."""
+def test_a_sheet_shows_kept_and_dropped_boxes() -> None:
     Path("labels").mkdir()
-    text = ""
-    annotations, values = [], np.zeros((180, 240), np.uint8)
-    for number, (x1, y1, x2, y2) in enumerate(BOXES, 1):
-        values[y1:y2, x1:x2] = number
-        center, size = ((x1 + x2) / 480, (y1 + y2) / 360), ((x2 - x1) / 240, (y2 - y1) / 180)
-        text += f"0 {center[0]} {center[1]} {size[0]} {size[1]}\n"
-        box = {"id": number, "image_id": 1, "bbox": [x1, y1, x2 - x1, y2 - y1]}
-        annotations.append({**box, "category_id": 1})
-    if kind == "yolo":
-        Path("labels/a.txt").write_text(text)
-    elif kind == "coco":
-        images = [{"id": 1, "file_name": "a.png"}]
-        content = {"images": images, "annotations": annotations}
-        Path("labels/a.json").write_text(json.dumps(content))
-    else:
-        save("labels/a.png", values)
-
-
-@pytest.mark.parametrize("kind", ["yolo", "coco", "masks"])
-def test_a_sheet_shows_kept_and_dropped_boxes(kind: str) -> None:
-    boxes_as(kind)
+    lines = (
+        f"0 {(x1 + x2) / 480} {(y1 + y2) / 360} {(x2 - x1) / 240} {(y2 - y1) / 180}\n"
+        for x1, y1, x2, y2 in BOXES
+    )
+    Path("labels/a.txt").write_text("".join(lines))
     save("dark/a.png", np.full((180, 240, 3), 30, np.uint8))
-    save("far/a.npy", FAR)
-    labels = "labels/a.json" if kind == "coco" else "labels"
+    save("far/a.npy", np.repeat(np.linspace(0.2, 30, 180), 240).reshape(180, 240))
     recipe = Recipe(WATER, min_contrast=0.05)
-    summary = degrade(recipe, propose("dark", "far", labels), "out", sheet=True)
+    summary = degrade(recipe, propose("dark", "far", "labels"), "out", sheet=True)
     assert summary.objects == (2, 1)
     with Image.open("out/sheet.jpg") as sheet:
         drawn = np.asarray(sheet, dtype=int)
     picture = drawn[-12 - 180 : -12, -12 - 240 : -12]  # the second of a row
     is_red = (picture[..., 0] > 150) & (picture[..., 1] < 90)
     is_yellow = (picture[..., 0] > 150) & (picture[..., 1] > 150) & (picture[..., 2] < 110)
-    for is_drawn, (x1, y1, x2, y2) in zip((is_yellow, is_red), BOXES, strict=True):
+    for is_drawn, box in zip((is_yellow, is_red), BOXES, strict=True):
         rows, columns = is_drawn.nonzero()
         ends = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
-        assert np.abs(np.subtract(ends, (x1, y1, x2, y2))).max() <= 1
-        assert is_drawn[y1 : y2 - 1, x1].mean() > 0.8
-        assert not is_drawn[y1 + 4 : y2 - 4, x1 + 4 : x2 - 4].any()  # a thin line
-    assert drawn[12:30, 12:240].min() < 150  # counts
-    # as many rows of pixels fewer without labels, which have nothing to count
-    degrade(Recipe(WATER), propose("dark", "far"), "bare", sheet=True)
-    with Image.open("bare/sheet.jpg") as bare:
-        assert bare.height == drawn.shape[0] - 21
+        assert np.abs(np.subtract(ends, box)).max() <= 1
 
 
 # Once more
@@ -360,26 +312,20 @@ def test_replay() -> None:
         replay("out/2.png.json", "again.png", picture="moved.png", force=True)
 
 
-@pytest.mark.parametrize("name", ["uwaug", "torch", "numba"])
-def test_records_of_another_version_say_so(name: str) -> None:
+def test_records_of_another_version_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
     degrade(RECIPE, rows()[:1], "new")
     record = read_record(Path("new/0.png.json"))
     replay("new/0.png.json", "same.png")  # silent: a warning would be an error
-    write_record(Path("old.json"), {**record, name: "0.0.1"})
-    with pytest.warns(UserWarning, match=rf"old.json was written by .*{name} 0\.0\.1.*: defaults"):
-        replay("old.json", "again.png")
-
-
-def test_a_record_says_whether_the_loops_made_its_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("uwaug", "torch", "numba"):
+        write_record(Path("old.json"), {**record, name: "0.0.1"})
+        with pytest.warns(UserWarning, match=rf"old.json was written by .*{name} 0\.0\.1"):
+            replay("old.json", "again.png", force=True)
     numba = pytest.importorskip("numba")
-    degrade(RECIPE, rows()[:1], "new")
-    assert read_record(Path("new/0.png.json"))["numba"] == numba.__version__
+    assert record["numba"] == numba.__version__
     monkeypatch.setenv("UWAUG_FAST", "0")
     with pytest.warns(UserWarning, match=r"0\.png\.json was written by .* and numba "):
-        replay("new/0.png.json", "again.png")
-    apart = (read_picture("again.png").int() - read_picture("new/0.png").int()).abs()
-    assert apart.max() <= 1
-    assert apart.float().mean() < 1e-3
+        replay("new/0.png.json", "again.png", force=True)
+    assert (read_picture("again.png").int() - read_picture("new/0.png").int()).abs().max() <= 1
 
 
 def test_a_medium_under_lamps_is_made_again_from_its_record() -> None:
@@ -437,7 +383,7 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
         ({"transform": {"water": "II"}}, "depth", "out", "must be a uwaug.RandomUnderwater"),
         ({"unit": "inch"}, "depth", "out", "unit must be one of m, cm, mm"),
         ({"variants": 0}, "depth", "out", "variants must be 1 or more"),
-        ({"min_contrast": 2}, "depth", "out", "min_contrast must be in"),
+        ({"motion": 2}, "depth", "out", "motion must be three numbers"),
         ({"quality": 0}, "depth", "out", "quality must be in"),
     ],
 )

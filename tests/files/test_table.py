@@ -10,7 +10,6 @@ import pytest
 
 import uwaug.files
 from uwaug.files import Row, propose, read_table, write_table
-from uwaug.files.search import left_out
 from uwaug.files.table import in_words, require_rows
 
 
@@ -37,10 +36,8 @@ NFC, NFD = (unicodedata.normalize(form, "épave") for form in ("NFC", "NFD"))
 Z = "m/{folder}/{stem}_z.png"
 MAPS: list[tuple[str, str, str | None, dict[str, str | None]]] = [
     # files, pictures, maps, and what is proposed
-    ("d/1.png d/notes.txt", "d", None, {"1.png": None}),
     ("d/1.png m/2.tif", "d/1.png", "m/2.tif", {"1.png": "m/2.tif"}),
     ("d/2.PNG d/3.jpg m.npy", "d", "m.npy", {"2.PNG": "m.npy", "3.jpg": "m.npy"}),
-    ("d/a.png d/b.png m/a.npy", "d", "m", {"a.png": "m/a.npy", "b.png": None}),
     ("d/r/2.png d/m/r/2.png", "d", "d/m", {"r/2.png": "d/m/r/2.png"}),
     ("d/1.0001.png m/1.0001.npy m/1.npy", "d", "m", {"1.0001.png": "m/1.0001.npy"}),
     # a pattern
@@ -68,7 +65,7 @@ MAPS: list[tuple[str, str, str | None, dict[str, str | None]]] = [
     ),
     ("d/x.png d/images/x.png m/x.npy", "d", "m", {"x.png": "m/x.npy", "images/x.png": None}),
     # what is no picture of a person
-    ("d/@home.png d/@eaDir/1.png d/.hidden.png d/.trash/b.png", "d", None, {"@home.png": None}),
+    ("d/@home.png d/n.txt d/@eaDir/1.png d/.2.png d/.trash/b.png", "d", None, {"@home.png": None}),
 ]
 
 
@@ -87,14 +84,12 @@ def test_maps_of_a_folder(
 def test_labels_of_a_folder() -> None:
     touch("ds/images/val/1.jpg ds/images/2.jpg ds/labels/val/1.txt ds/labels/classes.txt all.json")
     touch("m/2_mask.png valid/3.jpg valid/own.json train/4.jpg train/own.json")
-    rows = propose("ds/images", labels="ds/labels")
-    assert columns(rows, "name", "labels") == [
-        ("2.jpg", None),
-        ("val/1.jpg", "ds/labels/val/1.txt"),
-    ]
-    assert columns(propose("ds/images", labels="all.json"), "labels") == ["all.json"] * 2
-    rows = propose("ds/images", labels="m/{stem}_mask.png")
-    assert columns(rows, "labels") == ["m/2_mask.png", None]
+    for labels, expected in {
+        "ds/labels": [None, "ds/labels/val/1.txt"],
+        "all.json": ["all.json"] * 2,
+        "m/{stem}_mask.png": ["m/2_mask.png", None],
+    }.items():
+        assert columns(propose("ds/images", labels=labels), "labels") == expected
     rows = propose(".", labels="{folder}/own.json")
     assert columns(rows, "labels")[-2:] == ["train/own.json", "valid/own.json"]
 
@@ -105,7 +100,6 @@ def test_labels_of_a_folder() -> None:
         ("ds/images/train/1.jpg", "train"),
         ("ds/valid/images/1.jpg", "val"),
         ("ds/train/a/test/1.jpg", "test"),
-        ("ds/Train/1.jpg", ""),
         ("ds/train2017/train.jpg", ""),
     ],
 )
@@ -120,11 +114,8 @@ def test_a_split_is_a_folder_of_exactly_that_name(picture: str, split: str) -> N
     [
         ("{}0.png", [110, 120, 130, 510]),
         ("dive_2_{}.png", [11, 12, 13, 51]),
-        (
-            "17000000{}.0001.png",
-            [1700000011.0001, 1700000012.0001, 1700000013.0001, 1700000051.0001],
-        ),
-        ("17000000{0}.{0}.png", [0, 1, 2, 3]),
+        ("170000{}.0001.png", [17000011.0001, 17000012.0001, 17000013.0001, 17000051.0001]),
+        ("170000{0}.{0}.png", [0, 1, 2, 3]),
         ("{0}-of-{0}.png", [0, 1, 2, 3]),  # two numbers vary
     ],
 )
@@ -143,7 +134,7 @@ def test_the_time_of_a_frame_is_the_number_that_varies(names: str, times: list[f
         ("d/1.JPG d/1.png m/1.npy", "m", None, r"m/1\.npy may be of 1\.JPG or 1\.png"),
         ("d/a/1.png d/b/1.png m/1.npy", "m/{stem}.npy", None, r"may be of a/1\.png or b/1\.png"),
         ("d/1.png m/1.npy m/1.png", "m", None, r"may have m/1\.npy or m/1\.png: give a pattern"),
-        ("d/1.png m/0.h5 m/1.h5", "m", None, r"m has a file for no picture: .*found 2 .* \.h5"),
+        ("d/1.png m/1.h5", "m", None, r"m has a file for no picture: expected such as m/1, "),
         ("d/1.png m/1.npy", "m/{name}.npy", None, r"has \{name\}: expected \{stem\}, \{folder\}"),
         ("d/1.png l/frame_1.txt", None, "l", r"labels: l has a file for no picture: .*column lab"),
         ("d/1.heic d/2.MP4", None, None, r"no pictures in d: .*1 \.heic: convert.*1 \.mp4: make"),
@@ -188,24 +179,15 @@ def test_what_cannot_be_read_is_no_picture(monkeypatch: pytest.MonkeyPatch) -> N
     touch("ds/0.png ds/lost+found/1.png")
     for pipe in ("ds/0.png.json", "ds/uwaug-run.json"):
         os.mkfifo(pipe)
-    listed = Path.iterdir
+    listed = os.scandir
 
-    def iterdir(path: Path) -> Any:
-        if path.name == "lost+found":
+    def scandir(path: Path) -> Any:
+        if Path(path).name == "lost+found":
             raise PermissionError(path)
         return listed(path)
 
-    monkeypatch.setattr(Path, "iterdir", iterdir)
+    monkeypatch.setattr(os, "scandir", scandir)
     assert columns(propose("ds"), "name") == ["0.png"]
-
-
-@pytest.mark.parametrize(
-    "ends", [".hdr .mpo .insp", ".GPR .srw .3fr", ".mts .m2ts .wmv .insv .vob"]
-)
-def test_all_that_cameras_write_is_named(ends: str) -> None:
-    touch(" ".join(["ds/0.png", *(f"ds/1{end}" for end in ends.split())]))
-    told = left_out(Path("ds"))
-    assert all(f"1 {end.lower()}: " in told for end in ends.split())
 
 
 # Read from a file
@@ -235,11 +217,10 @@ def test_names_are_paths_below_the_table_or_below_what_holds_all_pictures() -> N
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("", "no column is called picture"),
-        ("image,depth\n1.png,1.npy\n", "no column is called picture, got image, depth"),
-        ("picture\n", "holds no rows"),
+        ("", "expected a column picture"),
+        ("image,depth\n1.png,1.npy\n", "expected a column picture, .* got image, depth"),
+        ("picture\n", "and rows below it, got picture"),
         ("picture,distance\n1.png\n", "line 2: has 1 cells and the first line 2"),
-        ("picture,distance\n1.png,a,b.npy\n", "line 2: has 3 cells"),
         ('picture\n"1.png\n', "is no line of CSV"),
         ("picture,film\n,f\n", "line 2: picture is empty"),
         ("picture,split\n1.png,\n2.png,dev\n", "line 3: split must be one of train, val, valid"),
@@ -340,7 +321,7 @@ def test_what_a_table_has_in_words() -> None:
         "1 have labels, 5 have none: train/0.png, train/1.png and others",
         *("3 are of train, 3 are of val", "2 films, each in its own water"),
     ]
-    assert second == "val is wet: 3 pictures"
+    assert second == "val gets wet, too"
 
 
 def test_the_layouts_of_the_manual() -> None:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from uwaug.files.summary import Summary
     from uwaug.files.table import Row
 
-_RUN_OPTIONS = ("drift", "motion", "quality", "background")  # of --set, but not of the transform
+_RUN_OPTIONS = ("drift", "motion", "quality")  # of --set, but not of the transform
 _ROWS_SHOWN = 8  # of a dry run
 _GROUPS = {
     "Output": ("out", "variants", "sheet", "maps", "dry_run"),
@@ -114,8 +114,7 @@ def degrade(
         typer.Option(
             "--set",
             help="Set any option, once or more: water.vertical_depth=0:5, light=none; for films "
-            "drift=.004 and motion=[0.02,0,0], m a frame, or motion=12px; quality=80 of JPEG; "
-            "background=white behind alpha.",
+            "drift=.004 and motion=[0.02,0,0], m a frame; quality=80 of JPEG.",
             metavar="NAME=VALUE",
         ),
     ] = None,

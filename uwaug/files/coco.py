@@ -3,21 +3,18 @@
 import json
 import os
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from uwaug._support.atomic import read_text
-from uwaug.files.labels import Entry, Key, Labels, require_size
+from uwaug.files.labels import Entry, Key, Labels, normal, require_size
 
 if TYPE_CHECKING:
     from uwaug._support.pixels import Pixels, Size
     from uwaug.files.summary import Result
     from uwaug.files.table import Row
-
-# formats of JSON that are not read, by what they have in place of images
-_OTHERS = {"videos": "YouTube-VIS", "image": "SA-1B", "shapes": "labelme"}
 
 
 class _Image(NamedTuple):
@@ -46,14 +43,19 @@ class Coco(Labels):
         for row in rows:
             if row.labels is not None:
                 rows_of[Path(os.path.abspath(row.labels))].append(row)
+        # each is written at its path below the folder that names of pictures begin at
+        root = Path(os.path.abspath(rows[0].picture).removesuffix(rows[0].name))
+        if not all(file.is_relative_to(root) for file in rows_of):
+            root = Path(os.path.commonpath([file.parent for file in rows_of]))
         of: dict[str, _Image] = {}
         rests, told = {}, []
-        for file, place in _places(rows_of, rows).items():
+        for file, own in rows_of.items():
+            place = file.relative_to(root).as_posix()
             images, annotations, rests[place] = _read(file)
-            image_of = _matches(file, images, rows_of[file])
+            image_of = _matches(file, images, own)
             for name, image in image_of.items():
                 of[name] = _Image(file, place, image, annotations[image["id"]])
-            if bare := [row.name for row in rows_of[file] if row.name not in image_of]:
+            if bare := [row.name for row in own if row.name not in image_of]:
                 told.append(f"{len(bare)} pictures have no image in {file}, such as {bare[0]}")
             if missing := len(images) - len({image["id"] for image in image_of.values()}):
                 told.append(f"{missing} of {len(images)} images of {file} have no picture here")
@@ -118,8 +120,6 @@ def _read(file: Path) -> tuple[list[Entry], dict[Any, list[Entry]], Entry]:
     """Images of a file; annotations of each, by its id; and the rest."""
     try:
         rest = json.loads(read_text(file))
-        for name in _OTHERS.keys() & rest.keys() if "images" not in rest else ():
-            raise ValueError(f"it is {_OTHERS[name]}'s: make a COCO file of it")
         images = list(rest.pop("images"))
         annotations: dict[Any, list[Entry]] = {image["id"]: [] for image in images}
         are_named = all(_parts(image.get("file_name", "")) for image in images)
@@ -127,8 +127,6 @@ def _read(file: Path) -> tuple[list[Entry], dict[Any, list[Entry]], Entry]:
             expected = "expected a file_name (in LVIS, the end of coco_url) and an id of its own"
             raise ValueError(f"{expected} for each image")
         for entry in rest.pop("annotations"):
-            if "segments_info" in entry:
-                raise ValueError("it is a panoptic one: name its PNGs, masks, as labels")
             annotations[entry["image_id"]].append(entry)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ValueError(f"{file}: is no COCO file: {error!r}") from None
@@ -148,37 +146,21 @@ def _matches(file: Path, images: Sequence[Entry], rows: Sequence["Row"]) -> dict
         fits = [image for parts, image in candidates[path[-1]] if path[-len(parts) :] == parts]
         if len(fits) > 1:
             got = " or ".join(str(image["file_name"]) for image in fits[:2])
-            cure = "write longer paths as file_name, or give files of one folder each"
-            raise ValueError(f"{file}: {row.picture} may be {got}: {cure}")
+            raise ValueError(f"{file}: {row.picture} may be {got}: write longer paths as file_name")
         for image in fits:
             other = picture_of.setdefault(image["id"], row.picture)
             if other != row.picture:
                 got = f"{image['file_name']} may be {other} or {row.picture}"
-                cure = "write in the column labels whose it is, or give the pictures of one folder"
-                raise ValueError(f"{file}: {got}: {cure}")
+                raise ValueError(f"{file}: {got}: write in the column labels whose it is")
             image_of[row.name] = image
     if not image_of:
-        names = ", ".join(str(image["file_name"]) for image in images[:3])
         expected = f"no file_name is the end of a path such as {rows[0].picture}"
-        raise ValueError(f"{file}: {expected} (there are {names})")
+        raise ValueError(f"{file}: {expected}, got {images and images[0]['file_name']}")
     return image_of
-
-
-def _places(files: Collection[Path], rows: Sequence["Row"]) -> dict[Path, str]:
-    """Where each file is written: at its path below the folder that names of pictures begin at, if
-    all are there; else below the folder that holds all of them.
-    """
-    paths = {os.path.abspath(row.picture): row.name for row in rows}
-    roots = {path.removesuffix(name) for path, name in paths.items() if path.endswith(name)}
-    if len(roots) != 1 or not all(file.is_relative_to(*roots) for file in files):
-        roots = {os.path.commonpath([file.parent for file in files])}
-    return {file: file.relative_to(*roots).as_posix() for file in files}
 
 
 def _parts(path: str) -> list[str]:
     """Folders and name of a file, on any system, in normal form."""
-    from uwaug.files.table import normal
-
     return [part for part in normal(path.replace("\\", "/")).split("/") if part not in ("", ".")]
 
 

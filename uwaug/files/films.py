@@ -69,27 +69,24 @@ class Films:
         (sample,) = record["samples"]
         if "measured" not in sample:
             return record
-        motion = [step * frame.moment for step in sample["motion"]]
+        motion = [step * frame.moment for step in self.recipe.motion]
         ways = {"moved": self.recipe.drift * frame.moment, "motion": motion}
         return {"samples": [{**of_frame(sample, frame.number), **ways}]}
 
     def _settle(self, candidates: Sequence[Row], variant: int) -> Record:
         """Settle a draw on the first frame that can be read, is not dark and shows more than open
-        water, with its camera's motion a frame; without one, on the first that can be read.
+        water; without one, on the first that can be read.
         """
         draw = self.recipe.drawn(candidates[0].name, variant)
         poor, reasons = [], []
         for row in candidates:
             try:
-                (image, *_), z = self.recipe.read(row)
+                (image, _), z = self.recipe.read(row)
                 record = self.recipe.transform_of(row.picture).for_clip(draw, image, z)
             except Exception as error:  # as over the picture itself
                 reasons.append(f"{row.name}: {reason_of(error)}")
                 continue
-            (sample,) = record["samples"]
-            median = sample.get("measured", {}).get("median", 0.0)
-            if median:
-                sample["motion"] = self.recipe.motion_before(median, image.shape[-1])
+            median = record["samples"][0].get("measured", {}).get("median", 0.0)
             light = float(image.float().mean()) / (1 if image.is_floating_point() else 255)
             if light >= _DARK_MEAN and median < checks.OPEN:
                 return record

@@ -4,8 +4,7 @@ import json
 import os
 import socket
 import sys
-import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
@@ -17,7 +16,6 @@ MANIFEST = "uwaug-run.json"  # by whom, with what, and which files
 NOT_OURS = "was not written by a run: move it, or choose another folder"
 
 _LOCK = ".uwaug-run.lock"
-_SILENCE_S = 300.0  # after which a run on another machine is taken for dead
 _FAR_BYTE = 1 << 20  # Windows lets nobody read a byte that is locked
 _ANEW = "force=True (--force) removes what it wrote, and begins anew"
 
@@ -35,41 +33,30 @@ def manifest_of(folder: Path) -> dict[str, Any] | None:
 
 
 @contextmanager
-def held(out: Path) -> Iterator[Callable[[], None]]:
-    """Open a context in which no other run works in a folder; a FileExistsError if one does. Gives
-    a function to call now and then, as a sign of life. A process that is killed holds nothing.
+def held(out: Path) -> Iterator[None]:
+    """Open a context in which no other run works in a folder; a FileExistsError if one does. A
+    process that is killed holds nothing.
     """
     out.mkdir(parents=True, exist_ok=True)
-    here = socket.gethostname()
     with (out / _LOCK).open("a+", encoding="utf-8") as file:
         is_locked = _lock(file)
-        file.seek(0)
-        process, _, host = file.read().partition(" on ")
-        status = os.fstat(file.fileno())
-        # not all file systems show locks to other machines
-        is_told = bool(process) and (is_locked is None or host != here)
-        is_alive = is_told and time.time() - status.st_mtime < _SILENCE_S
         # without a name, the file is that of a run that has just ended
-        if is_locked is False or is_alive or not status.st_nlink:
-            got = f"{process or 'a process'} on {host or here} is at work there"
-            raise FileExistsError(f"{out}: {got}: give each job an --out of its own")
+        if not is_locked or not os.fstat(file.fileno()).st_nlink:
+            file.seek(0)
+            who = file.read() or "a process"
+            raise FileExistsError(f"{out}: {who} is at work there: give each job its own --out")
         file.truncate(0)
-        file.write(f"process {os.getpid()} on {here}")
+        file.write(f"process {os.getpid()} on {socket.gethostname()}")
         file.flush()
-
-        def say_alive() -> None:
-            with suppress(OSError):
-                os.utime(file.name)
-
         try:
-            yield say_alive
+            yield
         finally:
             with suppress(OSError):  # Windows removes no open file
                 os.unlink(file.name)
 
 
-def _lock(file: IO[str]) -> bool | None:
-    """Lock a file until it is closed; False if another has, None where there are no locks."""
+def _lock(file: IO[str]) -> bool:
+    """Lock a file until it is closed; False if another has. Some file systems have no locks."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -83,7 +70,7 @@ def _lock(file: IO[str]) -> bool | None:
     except (BlockingIOError, PermissionError):
         return False
     except OSError:
-        return None
+        pass
     return True
 
 
@@ -108,12 +95,18 @@ class RunFolder:
             if any(not name.startswith(".") for name in os.listdir(out)):
                 raise FileExistsError(f"{out} is not empty, and of no run: choose another folder")
         elif force:
-            self._remove(earlier["files"], inputs)
+            own = [out / name for name in earlier["files"]]
+            if read := next((file for file in own if os.path.realpath(file) in inputs), None):
+                raise ValueError(f"{read} is read, and would be removed: choose another folder")
+            for file in own:
+                file.unlink(missing_ok=True)
         elif not resume:
             cure = f"resume=True (--resume) goes on, {_ANEW}"
             raise FileExistsError(f"{out} is not empty, but of a run: {cure}")
         else:
-            _require_same(out, earlier, made_with)
+            if changes := [name for name, x in made_with.items() if earlier.get(name) != x]:
+                got = f"{out} was made with another {' and '.join(changes)}"
+                raise FileExistsError(f"{got}: choose another folder; {_ANEW}")
             results = {*earlier["files"]} - {*earlier["lists"]}
             if stale := [name for name in sorted(results - {*files}) if (out / name).exists()]:
                 got = f"{out} holds {len(stale)} files that this run does not make"
@@ -143,18 +136,3 @@ class RunFolder:
 
     def _save(self) -> None:
         write_whole(self.out / MANIFEST, f"{json.dumps(self._manifest, indent=1)}\n".encode())
-
-    def _remove(self, names: Collection[str], inputs: Collection[str]) -> None:
-        files = [self.out / name for name in names]
-        if read := next((file for file in files if os.path.realpath(file) in inputs), None):
-            raise ValueError(f"{read} is read, and would be removed: choose another folder")
-        for file in files:
-            file.unlink(missing_ok=True)
-
-
-def _require_same(out: Path, earlier: Mapping[str, Any], made_with: Mapping[str, Any]) -> None:
-    """Refuse to go on with results of another recipe."""
-    changes = [name for name, value in made_with.items() if earlier.get(name) != value]
-    if changes:
-        got = f"{out} was made with another {' and '.join(changes)}"
-        raise FileExistsError(f"{got}: choose another folder; {_ANEW}")

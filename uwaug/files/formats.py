@@ -14,11 +14,6 @@ if TYPE_CHECKING:
 
 FORMATS: tuple[type[Labels], ...] = (Coco, Yolo, Masks)
 ENDINGS = Yolo.endings + Masks.endings  # of files that are of one picture each
-# endings of files that are not read, with what to do about it
-OTHERS = {
-    ".xml": "make a COCO file of Pascal VOC's: datum convert --input-format voc --input-path "
-    "FOLDER --output-format coco, of the package datumaro",
-}
 
 
 def formats() -> str:
@@ -41,16 +36,10 @@ def open_labels(rows: Sequence["Row"], classes: str | Path | None = None) -> Lab
         OSError: if a file cannot be read.
     """
     files = {row.labels.suffix.lower(): row.labels for row in rows if row.labels is not None}
-    kinds = {}
-    for end, file in files.items():
-        format = next((format for format in FORMATS if end in format.endings), None)
-        if format is None:
-            raise ValueError(f"labels: {OTHERS.get(end, f'expected {formats()}')}, got {file}")
-        kinds[format] = file
-    if len(kinds) != 1:
-        got = " and ".join(map(str, kinds.values())) or "no row with any"
+    format = next((format for format in FORMATS if files and {*files} <= {*format.endings}), None)
+    got = " and ".join(map(str, files.values()))
+    if format is None:
         raise ValueError(f"labels: expected {formats()}, one of these for all rows, got {got}")
-    (format,) = kinds
     if classes is not None and format is not Yolo:
-        raise ValueError(f"classes (--classes) are of YOLO's labels, got {kinds[format]}")
+        raise ValueError(f"classes (--classes) are of YOLO's labels, got {got}")
     return format.opened(rows, None if classes is None else Path(classes))

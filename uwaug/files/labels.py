@@ -4,6 +4,8 @@ A format is a class of `Labels` in a file of its own, named in `formats.py`.
 This file loads neither NumPy nor PyTorch, as command lines ask formats what they read.
 """
 
+import os
+import unicodedata
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -145,8 +147,14 @@ def require_size(file: Path, stated: "Size", size: "Size") -> None:
     """Refuse labels whose stated size (height, width) is not that of the picture."""
     if tuple(stated) == tuple(size):
         return
+    turned = ": EXIF turns it; turn its pixels instead" * (tuple(stated) == tuple(size[::-1]))
     got = f"{file}: is of {stated[1]}×{stated[0]} px, its picture of {size[1]}×{size[0]} px"
-    if tuple(stated) == tuple(size[::-1]):
-        cure = "exchange width and height there, if its objects are upright; else turn the pixels"
-        got = f"{got}, as EXIF has turned it: {cure} of the picture and take EXIF from it"
-    raise ValueError(got)
+    raise ValueError(got + turned)
+
+
+def normal(name: str) -> str:
+    """The normal form of a file's name, by which names are compared: accents are composed, and the
+    ending is in small letters.
+    """
+    stem, end = os.path.splitext(unicodedata.normalize("NFC", name))
+    return f"{stem}{end.lower()}"

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from uwaug._support.pixels import Pixels, Size
-    from uwaug.files.summary import Result
     from uwaug.files.table import Row
 
 _MAX_COLOURS = 256  # of a mask; a photograph has more
@@ -29,7 +28,6 @@ class Masks(PerPicture):
     """
 
     ignored: frozenset[Key] = frozenset({0, _IGNORED_COLOUR})  # values that stay as they are
-    has_255: bool = False  # beside small values in the samples, which is told
 
     reads = "masks"
     endings = (".png", ".bmp", ".gif", ".tif", ".tiff")
@@ -42,10 +40,8 @@ class Masks(PerPicture):
         labels = cls.of_rows(rows)
         samples = labels.sampled(lambda file: np.unique(_read(file)[1]).tolist())
         values = {value for sample in samples for value in sample}
-        if not _counts(values):
-            return labels
         # masks that are not among the samples may have 255, too
-        return replace(labels, ignored=labels.ignored | {255}, has_255=255 in values)
+        return replace(labels, ignored=labels.ignored | {255}) if _counts(values) else labels
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         import numpy as np
@@ -72,9 +68,6 @@ class Masks(PerPicture):
         image.save(file, "PNG")
         return file.getvalue()
 
-    def lists(self, results: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
-        return {}, ["255 in masks says nothing (ignore), and stays"] * self.has_255
-
 
 def _counts(values: Collection[int]) -> bool:
     """True if values count classes or objects so that 255 is none of them."""
@@ -93,13 +86,12 @@ def _read(file: Path) -> "tuple[NDArray[Any], NDArray[Any], list[int] | None]":
             raise ValueError(f"{file}: expected one mask, got {count}: give each a file of its own")
         levels = image.convert("L") if image.mode == "1" else image  # 0 and 255, as others read it
         pixels, palette = np.array(levels), image.getpalette()
+    if palette and any(palette[:3]):
+        colours = np.reshape(palette, (-1, 3))[1 : int(pixels.max()) + 1]
+        if not colours.any(1).all():
+            got = "in its palette 0 is a colour, and another number is black"
+            raise ValueError(f"{file}: {got}: which is background? Save it as RGB")
     if pixels.ndim == 2:
-        if palette:
-            colours = [tuple(palette[3 * i : 3 * i + 3]) for i in range(int(pixels.max()) + 1)]
-            black = (0, 0, 0)
-            if black in colours[1:] and colours[0] != black:
-                got = f"in its palette 0 is {colours[0]}, and {colours.index(black)} is black"
-                raise ValueError(f"{file}: {got}: which is background? Save it as RGB")
         return pixels, pixels, palette
     if (pixels == pixels[..., :1]).all():
         return pixels, pixels[..., 0], None

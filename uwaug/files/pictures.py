@@ -1,8 +1,7 @@
 """Pictures and distance maps in files. The end of a file's name says its format."""
 
 import io
-import math
-import re
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -11,7 +10,7 @@ import numpy as np
 import tifffile
 import torch
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, ImageCms, ImageColor
+from PIL import ExifTags, Image, ImageCms
 from torch import Tensor
 
 from uwaug._support import checks
@@ -21,12 +20,10 @@ from uwaug._support.types import ColorSpace
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 
 ENDINGS = (".npy", ".exr", ".tif", ".tiff", ".png", ".jpg", ".jpeg")  # of pictures
-MAP_ENDINGS = (".npy", ".npz", ".exr", ".pfm", ".tif", ".tiff", ".png")
+MAP_ENDINGS = (".npy", ".npz", ".exr", ".tif", ".tiff", ".png")
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
-_PFM = re.compile(rb"(P[Ff])\s+(\d+)\s+(\d+)\s+(\S+)(?:\r\n|\s)")  # colour or grey, size, scale
 _BIT_DEPTH = 24  # place in a PNG of the byte with the number of bits of a channel
-_ORIENTATION_CHUNKS = (b"eXIf", b"Raw profile type", b"XML:com.adobe.xmp")  # of a PNG
 _PROFILE_TAG, _NODATA_TAG = 34675, 42113  # of TIFF
 _REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of red, green, blue, white
 _SAME_LEVELS = 2  # by which profiles of sRGB differ, of 255
@@ -37,12 +34,9 @@ class Picture(NamedTuple):
 
     image: Tensor  # 3xHxW, upright, see `read_picture`
     orientation: int  # of the file by EXIF: 1 is upright, 2…8 were turned or mirrored
-    profile: bytes  # of colours, by which it was converted to sRGB; empty without one
 
 
-def read_picture(
-    path: str | Path, color_space: ColorSpace = "srgb", background: str | None = None
-) -> Tensor:
+def read_picture(path: str | Path, color_space: ColorSpace = "srgb") -> Tensor:
     """Read a picture. Grey becomes R = G = B; an opaque alpha is dropped.
 
     Args:
@@ -50,8 +44,6 @@ def read_picture(
             also hold floating-point numbers, 0…1. EXR and PNG of 16 bits need the extra "files".
         color_space: colour space of the result. An EXR holds linear light; a colour profile, such
             as Display P3, is converted to sRGB.
-        background: colour behind what is transparent, such as "white" or "#0a3040"; None refuses
-            transparent pictures.
 
     Returns:
         3xHxW, upright by EXIF: uint8 (0…255) for 8 bits, else float32 (0…1 for 16 bits).
@@ -60,52 +52,41 @@ def read_picture(
         ValueError: if it is no such picture; the error names the file.
         OSError: if it cannot be read.
     """
-    return open_picture(Path(path), color_space, background).image
+    return open_picture(Path(path), color_space).image
 
 
-def open_picture(
-    path: Path, color_space: ColorSpace = "srgb", background: str | None = None
-) -> Picture:
+def open_picture(path: Path, color_space: ColorSpace = "srgb") -> Picture:
     """As `read_picture`, with what was done to the file's pixels."""
     file = _decoded(path, "RGB")
-    values, profile = file.values, b""
+    values = file.values
     if values.dtype not in (np.uint8, np.uint16) and values.dtype.kind != "f":
         raise ValueError(f"{path}: expected 8 or 16 bits, or floating point, got {values.dtype}")
     if values.ndim == 2 and values.dtype.kind == "f":
         raise ValueError(f"{path}: one channel of floating point is a map, and no picture")
-    if values.ndim == 2 or (values.ndim == 3 and values.shape[2] == 2):  # grey, with alpha
-        grey = values.reshape(*values.shape[:2], -1)
-        values = np.concatenate([grey[..., :1].repeat(3, 2), grey[..., 1:]], 2)
-    if values.ndim == 3 and values.shape[2] == 4:
-        if not file.has_alpha:
-            cure = "is no alpha: save the first three alone, as by gdal_translate -b 1 -b 2 -b 3"
-            raise ValueError(f"{path}: got {file.values.shape}, of which the last band {cure}")
-        values = _divided(values) if file.is_multiplied else values
-    if color_space == "srgb" and values.dtype.kind == "u" and _to_srgb(file.profile):
-        profile = file.profile
-        values = np.concatenate([_in_srgb(values[..., :3], profile), values[..., 3:]], 2)
-    is_light = path.suffix.lower() == ".exr"
-    if values.ndim == 3 and values.shape[2] == 4 and background is not None:
-        values = _before(background, values, is_light)
+    if values.ndim == 2:
+        values = values[..., None].repeat(3, 2)
     if values.ndim != 3 or values.shape[2] != 3:
-        cure = "save it as RGB, without alpha, or give a background (--set background=white)"
+        cure = "save it as RGB, without alpha"
         raise ValueError(f"{path}: expected (H, W, 3) or (H, W), got {values.shape}: {cure}")
+    if color_space == "srgb" and values.dtype.kind == "u":
+        values = _in_srgb(values, file.profile)
     if values.dtype == np.uint16:
         values = values / np.float32(65535)
     elif values.dtype != np.uint8:
         values = values.astype(np.float32)
     image = torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
+    is_light = path.suffix.lower() == ".exr"
     image = linear_to_srgb(image) if is_light and color_space == "srgb" else image
-    return Picture(image, file.orientation, profile)
+    return Picture(image, file.orientation)
 
 
 def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     """Read a map of distances.
 
     Args:
-        path: a .npy (HxW), .npz (one array, or one called Z, depth or distance), .exr (one channel,
-            or one called Z or depth), PFM, TIFF or PNG file. Axes of length 1 count as none, and
-            equal channels as one. The scale in a PFM tells the order of its bytes alone.
+        path: a .npy (HxW), .npz (one array, or one called Z, depth or distance), .exr (one layer,
+            or one called Z or Y), TIFF or PNG file. Axes of length 1 count as none, and equal
+            channels as one.
         unit: "m", "cm", "mm", or the metres that 1 stands for. None: the numbers are relative or
             inverse; those of 8 and 16 bits become shares of the largest of their type.
 
@@ -118,7 +99,8 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
             unit, if it has 8 bits, or a median beyond 1000 m.
         OSError: if it cannot be read.
     """
-    values, nodata = (file := _decoded(Path(path), "Z")).values, file.nodata
+    file = _decoded(Path(path), "Z")
+    values, nodata = file.values, file.nodata
     if values.ndim == 3 and all(np.array_equal(v, values[..., 0].T, True) for v in values.T):
         values = values[..., 0]
     if values.ndim != 2:
@@ -142,56 +124,18 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
         got = f"the median is {median:.4g} metres if they are in {unit}, farther than one sees"
         cure = "is the unit mm (--unit mm)?"
         if largest < np.inf and values[values < largest].max() > largest / 2:
-            cure = "they span what their type holds, as relative distances do: --set distance.kind="
-            cure += "Inverse where large is near, else Relative? Or is the unit mm (--unit mm)?"
+            cure = "is the unit mm (--unit mm), or are they relative (--set distance.kind=Inverse)?"
         raise ValueError(f"{path}: {got}: {cure}")
     return distance
 
 
-def _divided(values: NDArray[Any]) -> NDArray[Any]:
-    """A picture (HxWx4) whose colours are multiplied by alpha, with the colours themselves."""
-    white = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
-    colour, alpha = np.split(values / white, [3], 2)
-    colour = (colour / np.where(alpha, alpha, 1)).clip(0, 1) * white
-    colour = colour if white == 1 else np.rint(colour)
-    return np.concatenate([colour.astype(values.dtype), values[..., 3:]], 2)
-
-
-def _before(background: str, values: NDArray[Any], is_light: bool) -> NDArray[Any]:
-    """A picture with alpha (HxWx4) before a colour. The light of an EXR is multiplied by alpha."""
-    white = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
-    colour, alpha = np.split(values / white, [3], 2)
-    behind = np.array(ImageColor.getrgb(background)[:3]) / 255
-    if is_light:
-        alpha, behind = np.where(alpha, alpha, 0), srgb_to_linear(torch.from_numpy(behind)).numpy()
-    shares = (colour if is_light else colour * alpha) + (1 - alpha) * behind
-    return (shares if white == 1 else np.rint(shares * white)).astype(values.dtype)
-
-
-@lru_cache(maxsize=16)
-def _to_srgb(profile: bytes) -> ImageCms.ImageCmsTransform | None:
-    """Transform from a profile to sRGB; None without one, for sRGB, and for other colours."""
-    try:
-        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-        transform = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), "RGB", "RGB")
-    except (OSError, ImageCms.PyCMSError):
-        return None
-    colours = (15 * np.indices((18, 18, 18))).astype(np.uint8).reshape(3, -1, 1).T
-    converted = np.asarray(transform.apply(Image.fromarray(colours)))
-    return transform if (np.abs(converted - colours.astype(int)) > _SAME_LEVELS).any() else None
-
-
-def _in_srgb(values: NDArray[Any], profile: bytes) -> NDArray[Any]:
-    transform, values = _to_srgb(profile), np.ascontiguousarray(values)
-    assert transform is not None
-    if values.dtype == np.uint8:
-        return np.asarray(transform.apply(Image.fromarray(values)))
-    (codecs,) = require("files", "imagecodecs")  # Pillow converts 8 bits alone
-    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    # optimised, 16 bits would go by a coarse table that is off by 11 of 255 in shadows
-    how: Any = {"colorspace": "rgb", "outcolorspace": "rgb", "flags": codecs.CMS.FLAGS.NOOPTIMIZE}
-    converted: NDArray[Any] = codecs.cms_transform(values, profile, srgb, **how)
-    return converted
+def metres_of(unit: str | float) -> float:
+    """Metres that a unit of distances stands for; refuses any other word or number."""
+    if isinstance(unit, str):
+        checks.one_of("unit", unit, (*UNITS, "a number of metres"))
+        return UNITS[unit]
+    checks.positive("unit", unit, "m")
+    return float(unit)
 
 
 def holds_picture(path: Path) -> bool:
@@ -206,21 +150,6 @@ def holds_picture(path: Path) -> bool:
     return any(channel.name.endswith("R") for part in parts for channel in part.header["channels"])
 
 
-def _upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
-    mirrored = values[:, ::-1] if orientation in (2, 4, 5, 7) else values
-    quarters = {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}.get(orientation, 0)
-    return np.rot90(mirrored, quarters)
-
-
-def metres_of(unit: str | float) -> float:
-    """Metres that a unit of distances stands for; refuses any other word or number."""
-    if isinstance(unit, str):
-        checks.one_of("unit", unit, (*UNITS, "a number of metres"))
-        return UNITS[unit]
-    checks.positive("unit", unit, "m")
-    return float(unit)
-
-
 def write_picture(
     path: str | Path, image: Tensor, quality: float = 95, color_space: ColorSpace = "srgb"
 ) -> None:
@@ -229,12 +158,11 @@ def write_picture(
     Args:
         path: file to write or replace; the end of its name is the format.
         image (3xHxW tensor): uint8 (0…255), written in 8 bits; or floating point (0…1), written in
-            16 bits to PNG and TIFF, as float32 to .npy and .exr,
-            which take maps (1xHxW), too.
+            16 bits to PNG and TIFF, as float32 to .npy and .exr, which take maps (1xHxW), too.
         quality: quality of JPEG, 1…100.
         color_space: colour space of the image. An EXR gets linear light.
     """
-    end = _ending(Path(path))
+    end = _ending(Path(path), ENDINGS)
     values = image.detach().cpu().permute(1, 2, 0).contiguous().numpy()
     if values.dtype != np.uint8 and end not in (".npy", ".exr"):
         white, kind = (255, np.uint8) if end in (".jpg", ".jpeg") else (65535, np.uint16)
@@ -266,35 +194,48 @@ def write_picture(
                 Image.fromarray(values).save(file, "JPEG", **jpeg)
 
 
-def _ending(path: Path, endings: tuple[str, ...] = ENDINGS) -> str:
-    end = path.suffix.lower()
-    if end not in endings:
-        raise ValueError(f"{path}: expected a file that ends in {', '.join(endings)}")
-    return end
+@lru_cache(maxsize=16)
+def _to_srgb(profile: bytes) -> ImageCms.ImageCmsTransform | None:
+    """Transform from a profile to sRGB; None without one, for sRGB, and for other colours."""
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        transform = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), "RGB", "RGB")
+    except (OSError, ImageCms.PyCMSError):
+        return None
+    colours = (15 * np.indices((18, 18, 18))).astype(np.uint8).reshape(3, -1, 1).T
+    converted = np.asarray(transform.apply(Image.fromarray(colours)))
+    return transform if (np.abs(converted - colours.astype(int)) > _SAME_LEVELS).any() else None
+
+
+def _in_srgb(values: NDArray[Any], profile: bytes) -> NDArray[Any]:
+    if (transform := _to_srgb(profile)) is None:
+        return values
+    values = np.ascontiguousarray(values)
+    if values.dtype == np.uint8:
+        return np.asarray(transform.apply(Image.fromarray(values)))
+    (codecs,) = require("files", "imagecodecs")  # Pillow converts 8 bits alone
+    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    # optimised, 16 bits would go by a coarse table that is off by 11 of 255 in shadows
+    how: Any = {"colorspace": "rgb", "outcolorspace": "rgb", "flags": codecs.CMS.FLAGS.NOOPTIMIZE}
+    converted: NDArray[Any] = codecs.cms_transform(values, profile, srgb, **how)
+    return converted
 
 
 class _File(NamedTuple):
     values: NDArray[Any]  # HxW or HxWxC, upright
     orientation: int = 1
     profile: bytes = b""
-    has_alpha: bool = True  # if it has as many channels
-    is_multiplied: bool = False  # colours by alpha
     nodata: float | None = None  # number that stands for none, by GDAL
 
 
-def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> _File:
-    end = _ending(path, ENDINGS if channels == "RGB" else (*MAP_ENDINGS, ".jpg", ".jpeg"))
+_What = Literal["RGB", "Z"]
+
+
+def _decoded(path: Path, what: _What) -> _File:
+    decode = _DECODERS[_ending(path, ENDINGS if what == "RGB" else MAP_ENDINGS)]
     require_regular(path)
     try:
-        if end == ".npy":
-            # mapped, so that a header that lies about its size does not fill the memory
-            file = _File(np.array(np.load(path, mmap_mode="r", allow_pickle=False)))
-        elif end == ".exr":
-            file = _File(_of_exr(path, channels))
-        elif end in (".npz", ".pfm"):
-            file = _File(_of_npz(path) if end == ".npz" else _of_pfm(path))
-        else:
-            file = _of_tiff(path) if end in (".tif", ".tiff") else _of_pillow(path)
+        file = decode(path, what)
     except (ImportError, MemoryError):
         raise
     except Exception as error:  # decoders raise whatever they like over a damaged file
@@ -307,64 +248,59 @@ def _decoded(path: Path, channels: Literal["RGB", "Z"]) -> _File:
     values = values.astype(values.dtype.newbyteorder("="), copy=False)
     if not values.size:
         raise ValueError(f"{path}: holds no pixels, got shape {values.shape}")
-    while values.ndim > 2 and values.shape[-1] == 1:
-        values = values[..., 0]
     while values.ndim > 2 and values.shape[0] == 1 and (values.ndim > 3 or values.shape[-1] > 4):
         values = values[0]
     white = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
     if values.ndim == 3 and values.shape[-1] in (2, 4) and (values[..., -1] == white).all():
         values = values[..., :-1]
-    if values.ndim == 3 and values.shape[-1] == 1:
+    while values.ndim > 2 and values.shape[-1] == 1:
         values = values[..., 0]
     return file._replace(values=values)
 
 
-def _of_npz(path: Path) -> NDArray[Any]:
+def _ending(path: Path, endings: tuple[str, ...]) -> str:
+    end = path.suffix.lower()
+    if end not in endings:
+        raise ValueError(f"{path}: expected a file that ends in {', '.join(endings)}")
+    return end
+
+
+def _of_npy(path: Path, what: _What) -> _File:
+    # mapped, so that a header that lies about its size does not fill the memory
+    return _File(np.array(np.load(path, mmap_mode="r", allow_pickle=False)))
+
+
+def _of_npz(path: Path, what: _What) -> _File:
     with np.load(path, allow_pickle=False) as arrays:
         names = [n for n in arrays if len(arrays) == 1 or n.lower() in ("z", "depth", "distance")]
         if len(names) != 1:
             raise ValueError(f"expected one array called depth, got {', '.join(arrays)}")
-        return np.asarray(arrays[names[0]])
+        return _File(np.asarray(arrays[names[0]]))
 
 
-def _of_pfm(path: Path) -> NDArray[Any]:
-    data = path.read_bytes()
-    header = _PFM.match(data)
-    if header is None:
-        raise ValueError("has no header of a PFM")
-    channels, order = 3 if header[1] == b"PF" else 1, "<" if float(header[4]) < 0 else ">"
-    shape = int(header[3]), int(header[2]), channels
-    values = np.frombuffer(data, f"{order}f4", math.prod(shape), header.end())
-    return values.reshape(shape)[::-1]  # rows from the bottom
-
-
-def _of_pillow(path: Path) -> _File:
+def _of_pillow(path: Path, what: _What) -> _File:
     with Image.open(path) as image:  # refuses pictures that would fill the memory
         modes = ("RGB", "RGBA", "L", "LA", "I;16", "I;16B")
         if image.mode not in modes or "transparency" in image.info:
-            got = "a transparent colour: save it without" if image.mode in modes else image.mode
+            got = "a transparent colour" if image.mode in modes else image.mode
             raise ValueError(f"expected RGB or grey, without a palette, got {got}")
         if image.format == "PNG" and (count := getattr(image, "n_frames", 1)) > 1:
             raise ValueError(f"holds {count} pictures: save each in a file of its own")
-        is_png = image.format == "PNG" and image.mode in ("RGB", "RGBA", "LA")
-        data = path.read_bytes() if is_png else b""
-        profile = image.info.get("icc_profile") or b""
-        if is_png and data[_BIT_DEPTH] == 16:  # Pillow would drop half of them
+        profile, values = image.info.get("icc_profile") or b"", np.asarray(image)
+        exif = image.getexif()
+    turn = int(exif.get(ExifTags.Base.Orientation, 1))
+    interop = exif.get_ifd(ExifTags.IFD.Interop)
+    if interop.get(ExifTags.Interop.InteropIndex) == "R03" and not profile:
+        raise ValueError("is in Adobe RGB, without a profile: convert it first, or add one")
+    if image.format == "PNG" and values.ndim == 3:
+        data = path.read_bytes()
+        if data[_BIT_DEPTH] == 16:  # of which Pillow has dropped half
             (codecs,) = require("files", "imagecodecs")
             values = codecs.png_decode(data)
-            if not any(map(data.__contains__, _ORIENTATION_CHUNKS)):
-                return _File(values, profile=profile)  # else Pillow decodes all to find chunks
-        else:
-            values = np.asarray(image)
-        exif = image.getexif()
-        turn = int(exif.get(ExifTags.Base.Orientation, 1))
-        interop = exif.get_ifd(ExifTags.IFD.Interop)
-        if interop.get(ExifTags.Interop.InteropIndex) == "R03" and not profile:
-            raise ValueError("is in Adobe RGB, without a profile: convert it first, or add one")
-        return _File(_upright(values, turn), turn, profile)
+    return _File(_upright(values, turn), turn, profile)
 
 
-def _of_tiff(path: Path) -> _File:
+def _of_tiff(path: Path, what: _What) -> _File:
     with tifffile.TiffFile(path) as file:
         page, count = file.pages.first, sum(not page.is_reduced for page in file.pages)
         kinds = (tifffile.PHOTOMETRIC.RGB, tifffile.PHOTOMETRIC.MINISBLACK)
@@ -378,35 +314,38 @@ def _of_tiff(path: Path) -> _File:
         values = np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
         turn = int(page.tags.valueof(ExifTags.Base.Orientation, 1))
         profile = bytes(page.tags.valueof(_PROFILE_TAG) or b"")
-        alphas = [tifffile.EXTRASAMPLE.ASSOCALPHA, tifffile.EXTRASAMPLE.UNASSALPHA]
-        alpha = next((extra for extra in page.extrasamples if extra in alphas), None)
         nodata = str(page.tags.valueof(_NODATA_TAG, "")).strip("\0 ")
-        number = float(nodata) if nodata else None
-        return _File(_upright(values, turn), turn, profile, alpha is not None, alpha == 1, number)
+        return _File(_upright(values, turn), turn, profile, float(nodata) if nodata else None)
 
 
-def _of_exr(path: Path, channels: Literal["RGB", "Z"]) -> NDArray[Any]:
-    """Colours or distances of a file with parts and layers, by the names that renderers give them,
-    without layers of denoisers and the Z of a vector X, Y, Z.
-    """
+def _of_exr(path: Path, what: _What) -> _File:
     (exr,) = require("files", "OpenEXR")
     parts = exr.File(str(path)).parts
     primaries = [part.header.get("chromaticities", _REC_709) for part in parts]
-    if channels == "RGB" and not np.allclose(primaries, _REC_709, atol=2e-3):
+    if what == "RGB" and not np.allclose(primaries, _REC_709, atol=2e-3):
         got = ", ".join(f"{number:.4g}" for number in primaries[0])
         cure = "convert it first, as by oiiotool --colorconvert"
         raise ValueError(f"primaries must be those of Rec. 709, got {got}: {cure}")
-    layers = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
-    colours = [name for name in layers if layers[name].ndim == 3]
-    if channels == "RGB":
-        names = [name for name in colours if name in ("RGB", "RGBA")]
-        views = [name for name in colours if name.endswith("Combined")] or colours
-        names += [name for name in views if len(views) == 1 or name.startswith("Composite.")]
-    else:
-        lengths = [n for n in layers if f"{n[:-1]}X" not in layers and "Denois" not in n]
-        names = [name for name in lengths if name == "Z"]
-        names = names or [name for name in lengths if "depth" in name.lower()]
-        names = names or [name for name in lengths if name.endswith(".Z") or len(layers) == 1]
-    if not names or (channels == "Z" and len(names) > 1):
-        raise ValueError(f"expected one layer of {channels}, got {', '.join(layers)}")
-    return np.asarray(layers[names[0]])
+    layers = [(name, channel.pixels) for part in parts for name, channel in part.channels.items()]
+    names = ("RGB", "RGBA") if what == "RGB" else ("Z", "Y")
+    is_alone = what == "Z" and len(layers) == 1
+    fits = [pixels for name, pixels in layers if name in names or is_alone]
+    if len(fits) != 1:
+        got = ", ".join(name for name, _ in layers)
+        raise ValueError(f"expected one layer {' or '.join(names)}, got {got}")
+    return _File(np.asarray(fits[0]))
+
+
+def _upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
+    mirrored = values[:, ::-1] if orientation in (2, 4, 5, 7) else values
+    quarters = {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}.get(orientation, 0)
+    return np.rot90(mirrored, quarters)
+
+
+_DECODERS: dict[str, Callable[[Path, _What], _File]] = {
+    ".npy": _of_npy,
+    ".npz": _of_npz,
+    ".exr": _of_exr,
+    **dict.fromkeys((".tif", ".tiff"), _of_tiff),
+    **dict.fromkeys((".png", ".jpg", ".jpeg"), _of_pillow),
+}

@@ -51,17 +51,13 @@ def on_processes(work: Any, jobs: Iterable[Any], workers: int) -> Iterator[Any]:
             pass
         finally:
             pool.shutdown(cancel_futures=True)
-        while under_way:
-            yield alone(work, under_way.popleft())
-
-
-def alone(work: Any, job: Any) -> Any:
-    """The result of a job in a separate process, which may die over it."""
-    try:
-        with _pool(work, 1) as pool:
-            return pool.submit(_call, job).result()
-    except BrokenProcessPool:
-        return work.died(job)
+        for job in under_way:
+            try:
+                with _pool(work, 1) as pool:
+                    yield pool.submit(_call, job).result()
+            except BrokenProcessPool:
+                yield work.died(job)
+        under_way.clear()
 
 
 def _pool(work: Any, workers: int) -> ProcessPoolExecutor:

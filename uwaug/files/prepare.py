@@ -13,7 +13,6 @@ from uwaug._support.threads import one_thread
 from uwaug.distance.doubts import doubts
 from uwaug.distance.sources import Inverse, Metres, Relative
 from uwaug.distance.unknown import NO_RANGE, in_words, of_metres
-from uwaug.files.films import frames_of
 from uwaug.files.pictures import read_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import reason_of
@@ -28,8 +27,8 @@ _REFERENCE_COUNT = 32  # photographs that are looked at, spread over all: a seco
 def prepare(
     recipe: Recipe, rows: Sequence[Row], references: Sequence[Path] = ()
 ) -> tuple[Recipe, list[str]]:
-    """Look at eight pictures of a run, or the middle frames of eight films, before it begins.
-    Refuses a run if most of their maps are refused. Pictures that cannot be read are left to it.
+    """Look at eight pictures of a run before it begins. Refuses it if most of their maps are
+    refused. Pictures that cannot be read are left to it.
 
     Args:
         recipe, rows: as for `degrade`.
@@ -38,15 +37,12 @@ def prepare(
     Returns:
         The recipe to run, which draws waters like those of the references; and sentences to tell.
     """
-    source = recipe.transform.distance
+    source, sentences = recipe.transform.distance, []
     require_rows(rows, with_maps=source.reads_maps)
-    frames, sentences = frames_of(rows), []
-    middles = [frames[row.name].candidates[0] if row.film else row for row in rows]
-    witnesses = [*dict.fromkeys(middles)]  # the frames of a film are one
-    samples = _samples(recipe, witnesses[:: -(-len(witnesses) // _SAMPLE_COUNT) or 1])
+    samples = _samples(recipe, rows[:: -(-len(rows) // _SAMPLE_COUNT) or 1])
     if isinstance(source, Metres):
         sentences += doubts([sample.z for sample in samples if sample.z is not None])
-    elif frames and isinstance(source, (Relative, Inverse)):
+    elif any(row.film for row in rows) and isinstance(source, (Relative, Inverse)):
         sentences.append(
             "each frame's map is stretched from near to far on its own: a film pumps where things "
             "come and go, unless its maps are metres"
@@ -54,10 +50,6 @@ def prepare(
     reasons = [sample.reason for sample in samples if sample.reason]
     if 2 * len(reasons) > len(samples):
         raise ValueError("; ".join([reasons[0], *sentences]))
-    if grey := [s.row.name for s in samples if bool((s.image == s.image[:1]).all())]:
-        got = f"{len(grey)} of {len(samples)} pictures looked at are grey, such as {grey[0]}"
-        cure = "they come out in colour; if they are maps, name them by --distance"
-        sentences.append(f"{got}: {cure}")
     if not references:
         return recipe, sentences
     accepted = [sample for sample in samples if not sample.reason]
@@ -95,16 +87,14 @@ def _samples(recipe: Recipe, rows: Sequence[Row]) -> list[_Sample]:
     for row in rows:
         with warnings.catch_warnings(), suppress(Exception):  # decoders raise whatever they like
             warnings.simplefilter("ignore")
-            image = read_picture(row.picture, background=recipe.background)
+            image = read_picture(row.picture)
             z, reason = None, ""
             try:
                 z = recipe.read_map(row)
                 if z is not None:
                     _require_metres(recipe, row.name, z, image)
             except Exception as error:
-                reason = reason_of(error)
-                if not reason.startswith(str(row.distance)):
-                    reason = f"{row.distance}: {reason}"
+                reason = f"{row.distance}: {reason_of(error).removeprefix(f'{row.distance}: ')}"
             samples.append(_Sample(row, image, z, reason))
     return samples
 

@@ -5,7 +5,6 @@ from functools import cached_property
 from pathlib import Path
 
 import torch
-from PIL import ImageColor
 from torch import Tensor
 
 from uwaug._support import checks
@@ -34,10 +33,8 @@ class Recipe:
         min_contrast: least contrast left of an object, 0…1, for its label to be kept.
         classes: file that names the classes of YOLO's labels, see `open_labels`.
         drift: drift of a film's field and snow, m a frame.
-        motion: motion of its camera to the right, down and forward, m a frame; or, as "12px", to
-            the right, by which what is at the median distance moves so many px to the left.
+        motion: motion of its camera to the right, down and forward, m a frame.
         quality: quality of JPEG, 1…100.
-        background: colour behind transparent pictures, see `read_picture`.
         maps: format of maps of the truth (see `uwaug.transforms.truth.Truth`), "npy" or "exr".
     """
 
@@ -48,9 +45,8 @@ class Recipe:
     min_contrast: float | None = None
     classes: str | None = None
     drift: float = 0.004
-    motion: tuple[float, float, float] | str = (0.0, 0.0, 0.0)
+    motion: tuple[float, float, float] = (0.0, 0.0, 0.0)
     quality: float = 95
-    background: str | None = None
     maps: str | None = None
 
     def __post_init__(self) -> None:
@@ -61,17 +57,8 @@ class Recipe:
         if self.min_contrast is not None:
             checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
         checks.within("drift", self.drift)
-        if isinstance(self.motion, str):
-            self.motion_before(1.0, 1)
-        else:
-            object.__setattr__(self, "motion", checks.vector("motion", self.motion))
+        object.__setattr__(self, "motion", checks.vector("motion", self.motion))
         checks.within("quality", self.quality, 1, 100)
-        if self.background is not None:
-            try:
-                ImageColor.getrgb(self.background)
-            except (ValueError, AttributeError):
-                got = f"got {self.background!r:.80}"
-                raise ValueError(f"background must be a colour such as white, {got}") from None
         if self.maps is not None:
             checks.one_of("maps", self.maps, MAP_FORMATS)
 
@@ -85,19 +72,6 @@ class Recipe:
         generator = self.transform.generator_of(self.seed, variant, name)
         return self.transform.make_params(torch.empty(3, 1, 1), generator)
 
-    def motion_before(self, median: float, width: int) -> tuple[float, float, float]:
-        """Motion of a film's camera, m a frame, before a scene at a median distance (m)."""
-        if not isinstance(self.motion, str):
-            return self.motion
-        try:
-            px = float(self.motion.removesuffix("px"))
-            checks.within("motion", px)
-        except ValueError:
-            expected = "three numbers, m, or px as in 12px"
-            raise ValueError(f"motion must be {expected}, got {self.motion!r}") from None
-        is_open = median >= checks.OPEN  # where nothing seems to move
-        return 0.0 if is_open else px * median / self.transform.view.focal(width), 0.0, 0.0
-
     @cached_property
     def _in_light(self) -> RandomUnderwater:
         development = replace(self.transform.development, color_space="linear")
@@ -110,7 +84,7 @@ class Recipe:
     def read(self, row: Row) -> tuple[Picture, Tensor | None]:
         """The picture of a row, and its map (1xHxW) where it has one."""
         space = self.transform_of(row.picture).development.color_space
-        return open_picture(row.picture, space, self.background), self.read_map(row)
+        return open_picture(row.picture, space), self.read_map(row)
 
     def write(self, path: Path, image: Tensor, picture: Path) -> None:
         """Write the result (3xHxW) of the transform of a picture."""

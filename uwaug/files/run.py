@@ -20,11 +20,13 @@ from uwaug.files.folder import NOT_OURS, RunFolder, held
 from uwaug.files.labels import Judged, Labels
 from uwaug.files.pictures import read_picture
 from uwaug.files.pool import on_processes
+from uwaug.files.ray import on_ray
 from uwaug.files.record import digest, reason_of, record_of, record_path, write_record
 from uwaug.files.sheet import drawn_sheet
 from uwaug.files.summary import Result, Summary
 from uwaug.files.table import Row, absolute
 
+_DIED = "the process died over it: out of memory, or a damaged file"
 Progress = Callable[[int, int], None]  # of the numbers of finished and of all pictures
 
 
@@ -87,9 +89,8 @@ class Work:
         except Exception as error:  # decoders raise whatever they like over a damaged file
             return self.died(job, reason_of(error))
 
-    def died(self, job: Job, reason: str = "") -> Result:
+    def died(self, job: Job, reason: str = _DIED) -> Result:
         """The result of a job that has failed for a reason, or that a process has died over."""
-        reason = reason or "the process died over it: out of memory, or a damaged file"
         return Result(job.row, job.variant, job.place, "failed", reason=reason)
 
     def _done(self, job: Job) -> Result:
@@ -154,23 +155,17 @@ def run(
     for job in jobs:
         own = (out / job.place, record_path(out / job.place), *work.files(job))
         files += [file.relative_to(out).as_posix() for file in own]
-    with held(out) as say_alive:
+    with held(out):
         folder = RunFolder(out, work.made_with, files, inputs, resume=resume, force=force)
         for parent in {out, *((out / file).parent for file in files)}:
             remove_left(parent)  # parts of files of a killed run
         notes = folder.write_lists(lists or {})
-        if ray is None:
-            stream = on_processes(work, jobs, workers)
-        else:
-            from uwaug.files.ray import on_ray
-
-            stream = on_ray(work, jobs, ray, workers)
+        stream = on_ray(work, jobs, ray, workers) if ray else on_processes(work, jobs, workers)
         results: list[Result] = []
         say = progress or (lambda count, total: None)
         say(0, len(jobs))
         for result in stream:
             results.append(result)
-            say_alive()
             say(len(results), len(jobs))
         made = [result for result in results if result.status != "failed"]
         lists = {"index.csv": Summary(results).index()}

@@ -2,7 +2,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,12 +13,11 @@ from uwaug.files.record import record_of
 PICTURE_ENDINGS = tuple(end for end in ENDINGS if end != ".npy")
 # cures for pictures that are neither read nor written, with the ends of their names
 _UNREAD = {
-    "convert them first, as by magick mogrify -format png": ".avif .bmp .dds .gif .hdr .heic .heif "
-    ".hif .insp .jfif .jp2 .jpe .jpf .jpx .j2k .jxl .mpo .pgm .pnm .ppm .psd .qoi .tga .webp",
-    "develop them first, as by darktable-cli": ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .gpr .iiq "
-    ".kdc .mef .mos .mrw .nef .nrw .orf .ori .pef .raf .raw .rw2 .rwl .sr2 .srf .srw .x3f",
-    "make frames of it, as by ffmpeg -i FILM frames/%05d.png, and give --sequence": ".3gp .360 "
-    ".avi .flv .hevc .insv .m2ts .m4v .mkv .mov .mp4 .mpeg .mpg .mts .mxf .ts .vob .webm .wmv",
+    "convert them first, as by magick mogrify -format png": ".avif .bmp .gif .heic .heif .jp2 .jxl "
+    ".mpo .pgm .ppm .psd .tga .webp",
+    "develop them first, as by darktable-cli": ".arw .cr2 .cr3 .dng .gpr .nef .orf .raf .rw2 .srw",
+    "make frames of it, as by ffmpeg -i FILM frames/%05d.png, and give --sequence": ".avi .insv "
+    ".m2ts .mkv .mov .mp4 .mpg .mts .webm .wmv",
 }
 _OF_DISKS = ("@eaDir", "@Recycle", "@Recently-Snapshot", "@tmp")  # folders of network disks
 
@@ -61,22 +60,27 @@ def _inside(folder: Path, exclude: Exclude, endings: tuple[str, ...]) -> Iterato
     excluded = (os.path.realpath(place) for place in exclude if place is not None)
     manifest = manifest_of(folder) or {"files": ()}
     written = {folder / name for name in manifest["files"]}
-    for path in _files(folder, folder.iterdir(), frozenset(excluded)):
-        if path.suffix.lower() in endings and path not in written and record_of(path) is None:
+    for path in _files(folder, [*os.scandir(folder)], frozenset(excluded)):
+        if path.suffix.lower() in endings and path not in written:
             yield path
 
 
-def _files(folder: Path, paths: Iterable[Path], excluded: frozenset[str]) -> Iterator[Path]:
-    """Files of the paths in a folder and of its subfolders, but for excluded ones, those of runs,
+def _files(
+    folder: Path, entries: Sequence[os.DirEntry[str]], excluded: frozenset[str]
+) -> Iterator[Path]:
+    """Files of the entries of a folder and of its subfolders, but for excluded ones, those of runs,
     and names that begin with a dot. A link is followed, unless to a folder that it lies in.
     """
     excluded |= {os.path.realpath(folder)}
-    for path in paths:
-        if path.name.startswith(".") or path.name in _OF_DISKS:
+    names = {entry.name for entry in entries}
+    for entry in entries:
+        path = folder / entry.name
+        if entry.name.startswith(".") or entry.name in _OF_DISKS:
             continue
-        if not path.is_dir():
-            yield path
+        if not entry.is_dir():
+            if f"{entry.name}.json" not in names or record_of(path) is None:
+                yield path
         elif os.path.realpath(path) not in excluded and manifest_of(path) is None:
             with suppress(PermissionError):  # such as lost+found of a disk
-                inner = [*path.iterdir()]
+                inner = [*os.scandir(path)]
                 yield from _files(path, inner, excluded)

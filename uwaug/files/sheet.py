@@ -26,7 +26,7 @@ def drawn_sheet(
     """A JPEG of pictures, each before its variants and their boxes; then of photographs beside."""
 
     def before(file: Path, words: str = "") -> Cell:
-        return read_picture(file, background="white"), f"{file.name}\n{words}"
+        return read_picture(file), f"{file.name}\n{words}"
 
     def after(result: Result) -> Cell:
         path = work.out / result.place

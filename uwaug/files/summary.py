@@ -13,8 +13,6 @@ _COLUMNS = ("name", "variant", "result", "contrast", "status", "reason")
 
 ASKED = {
     "turned": "are upright by EXIF alone: maps and labels are taken as upright, too. Are they?",
-    "dark": "of 16 bits, reach less than 1/8 of white: have they 10 or 12 bits? Stretch them first",
-    "profile": "have a colour profile other than sRGB, and were converted to sRGB by it",
     "alone": "have maps with 0, or another end, a gap away from all other values: unknown? --holes "
     "behind; sky? --holes far",
 }

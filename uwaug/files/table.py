@@ -6,20 +6,19 @@ import itertools
 import math
 import os
 import re
-import unicodedata
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from uwaug._support.atomic import read_text, write_whole
 from uwaug.files import formats
+from uwaug.files.labels import normal
 from uwaug.files.pictures import ENDINGS, MAP_ENDINGS
 from uwaug.files.search import Exclude, pictures_in
 
 SPLITS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
 
-_LABEL_ENDINGS = (*formats.ENDINGS, *formats.OTHERS)  # the latter are refused with a cure
 _FIELD = re.compile(r"\{(\w*)\}")
 _NUMBER = re.compile(r"(\d+\.\d{3,}|\d+)")  # a whole one, or a time in seconds
 
@@ -73,17 +72,19 @@ def read_table(path: str | Path) -> list[Row]:
     header = [cell.strip().lower() for cell in lines[0][1]] if lines else []
     if "picture" not in header and "file_name" in header:
         header[header.index("file_name")] = "picture"
-    if "picture" not in header:
-        raise ValueError(f"{path}: no column is called picture, got {', '.join(header)}")
-    folder, rows = path.parent, []
+    if "picture" not in header or len(lines) < 2:
+        got = ", ".join(header)
+        raise ValueError(f"{path}: expected a column picture, and rows below it, got {got}")
+    rows = []
     for number, cells in lines[1:]:
         try:
-            rows.append(_row(header, cells, folder))
+            rows.append(_row(header, cells, path.parent))
         except ValueError as error:
             raise ValueError(f"{path}: line {number}: {error}") from None
-    if not rows:
-        raise ValueError(f"{path}: holds no rows")
-    names = _names([row.picture for row in rows], folder)
+    root, paths = Path(os.path.realpath(path.parent)), [absolute(row.picture) for row in rows]
+    if not all(picture.is_relative_to(root) for picture in paths):
+        root = Path(os.path.commonpath([picture.parent for picture in paths]))
+    names = [picture.relative_to(root).as_posix() for picture in paths]
     return [row if row.name else row._replace(name=n) for row, n in zip(rows, names, strict=True)]
 
 
@@ -142,7 +143,7 @@ def propose(
     folder = source.parent if source.is_file() else source
     files = _Files()
     map_of = _finder("distance", distance, MAP_ENDINGS, files)
-    labels_of = _finder("labels", labels, _LABEL_ENDINGS, files)
+    labels_of = _finder("labels", labels, formats.ENDINGS, files)
     rows = []
     for path in paths:
         place = path.relative_to(folder)
@@ -152,14 +153,11 @@ def propose(
         found = map_of(path, place, split), labels_of(path, place, split)
         rows.append(Row(shown, path, *found, SPLITS.get(split, ""), film))
     # files beside the pictures, but for an EXR that holds its own distances
-    taken = set()
-    for row in rows:
-        for file in (row.distance, row.labels):
-            if file is not None and file != row.picture:
-                taken.add(os.path.abspath(file))
+    cells = ((row.picture, file) for row in rows for file in (row.distance, row.labels) if file)
+    taken = {os.path.abspath(file) for picture, file in cells if file != picture}
     rows = [row for row in rows if os.path.abspath(row.picture) not in taken]
     _require_found("distance", distance, rows, MAP_ENDINGS)
-    _require_found("labels", labels, rows, _LABEL_ENDINGS)
+    _require_found("labels", labels, rows, formats.ENDINGS)
     return _timed(rows) if sequence else rows
 
 
@@ -168,26 +166,32 @@ def require_rows(rows: Sequence[Row], *, with_maps: bool = False) -> None:
     there, or with a map or labels of one picture that are of another picture, too; and without a
     map for each picture, if `with_maps`.
     """
-    counts = Counter(row.name for row in rows)
-    if twice := [name for name, count in counts.items() if count > 1]:
-        raise ValueError(f"name: two rows are called {twice[0]}: write another in the column name")
-    for name in counts:
-        parts = name.split("/")
-        if ".." in parts or "" in parts or os.path.splitext(name)[1].lower() not in ENDINGS:
+    names: set[str] = set()
+    for row in rows:
+        parts = row.name.split("/")
+        is_format = os.path.splitext(row.name)[1].lower() in ENDINGS
+        if row.name in names:
+            cure = "write another in the column name"
+            raise ValueError(f"name: two rows are called {row.name}: {cure}")
+        if ".." in parts or "" in parts or not is_format:
             expected = f"a path below the folder of the run, ending in {', '.join(ENDINGS)}"
-            raise ValueError(f"name: expected {expected}, got {name}")
+            raise ValueError(f"name: expected {expected}, got {row.name}")
+        names.add(row.name)
     for column in ("picture", "distance", "labels"):
-        files = {file: row for row in rows if (file := getattr(row, column)) is not None}
-        if absent := [file for file in files if not file.is_file()]:
+        rows_of: dict[Path, list[Row]] = {}
+        for row in rows:
+            if (file := getattr(row, column)) is not None:
+                rows_of.setdefault(file, []).append(row)
+        if absent := [file for file in rows_of if not file.is_file()]:
             got = f"{len(absent)} of its files are not there, such as {absent[0]}"
-            raise ValueError(f"column {column}: {got} of {files[absent[0]].name}")
+            raise ValueError(f"column {column}: {got} of {rows_of[absent[0]][0].name}")
+        if column != "picture":
+            _require_own(column, rows_of, len(rows))
     bare = [row.name for row in rows if row.distance is None]
     if bare and with_maps:
         got = f"{len(bare)} of {len(rows)} pictures have no map, such as {bare[0]}"
         cure = "write it in the column distance of a table (.csv), or give --distance"
         raise ValueError(f"distance is missing: {got}: {cure} metres, or made-up (MadeUp())")
-    for column in ("distance", "labels"):
-        _require_own(column, rows)
 
 
 def in_words(rows: Sequence[Row]) -> str:
@@ -203,10 +207,8 @@ def in_words(rows: Sequence[Row]) -> str:
         words.append(", ".join(f"{n} are of {split or 'no split'}" for split, n in splits.items()))
     if films := {row.film for row in rows} - {""}:
         words.append("1 film" if len(films) == 1 else f"{len(films)} films, each in its own water")
-    wet = [
-        f"{split} is wet: {splits[split]} pictures" for split in ("val", "test") if splits[split]
-    ]
-    return "\n".join(["; ".join(words), *wet])
+    wet = [f"\n{split} gets wet, too" for split in ("val", "test") if splits[split]]
+    return "; ".join(words) + "".join(wet)
 
 
 def absolute(file: Path) -> Path:
@@ -214,34 +216,29 @@ def absolute(file: Path) -> Path:
     return Path(os.path.realpath(file.parent), file.name)
 
 
-def normal(name: str) -> str:
-    """The normal form of a file's name, by which names are compared: accents are composed, and the
-    ending is in small letters.
-    """
-    stem, end = os.path.splitext(unicodedata.normalize("NFC", name))
-    return f"{stem}{end.lower()}"
-
-
 class _Files:
     """Files by their names in normal form; each folder is listed once."""
 
     def __init__(self) -> None:
-        self._listings: dict[Path, dict[str, Path]] = {}
+        self._listings: dict[str, dict[str, os.DirEntry[str]]] = {}
 
-    def at(self, path: Path) -> Path | None:
+    def at(self, path: str) -> Path | None:
         """The file at a path; None without one."""
-        listing = self._listing(path.parent)
-        file = listing.get(path.name) or listing.get(normal(path.name))
-        return file if file is not None and file.is_file() else None
+        folder, name = os.path.split(path)
+        listing = self._listing(folder)
+        entry = listing.get(name) or listing.get(normal(name))
+        return Path(entry) if entry is not None and entry.is_file() else None
 
-    def _listing(self, folder: Path) -> dict[str, Path]:
+    def _listing(self, folder: str) -> dict[str, os.DirEntry[str]]:
         if folder not in self._listings:
-            there = folder
-            if not folder.is_dir() and folder.parent != folder:
-                there = self._listing(folder.parent).get(normal(folder.name), folder)
-            files = sorted(there.iterdir()) if there.is_dir() else []
-            exact = {file.name: file for file in files}
-            self._listings[folder] = {normal(name): file for name, file in exact.items()} | exact
+            there, (above, name) = folder or ".", os.path.split(folder)
+            if not os.path.isdir(there) and name:
+                there = getattr(self._listing(above).get(normal(name)), "path", there)
+            entries = []
+            if os.path.isdir(there):
+                entries = sorted(os.scandir(there), key=lambda entry: entry.name)
+            exact = {entry.name: entry for entry in entries}
+            self._listings[folder] = {normal(name): entry for name, entry in exact.items()} | exact
         return self._listings[folder]
 
 
@@ -264,16 +261,17 @@ def _finder(
     def file_of(path: Path, place: Path, split: str) -> Path | None:
         if fields:
             values = {"stem": place.stem, "folder": str(place.parent), "split": split}
-            bases = [_FIELD.sub(lambda match: values[match[1]], str(given))]
+            named = [os.path.normpath(_FIELD.sub(lambda match: values[match[1]], str(given)))]
         else:
-            bases = [f"{pattern / place.with_suffix('')}{end}" for end in endings]
-        found = [file for base in bases if (file := files.at(Path(base))) is not None]
+            stem = pattern / place.with_suffix("")
+            named = [f"{stem}{end}" for end in endings]
+        there = [file for name in named if (file := files.at(name)) is not None]
         if column == "labels" or path.suffix.lower() != ".exr":  # which may be its own map
-            found = [file for file in found if not file.samefile(path)]
-        if len(found) > 1:
-            got = f"{path} may have {found[0]} or {found[1]}"
+            there = [file for file in there if os.path.abspath(file) != os.path.abspath(path)]
+        if len(there) > 1:
+            got = f"{path} may have {there[0]} or {there[1]}"
             raise ValueError(f"{column}: {got}: give a pattern, such as {pattern}/{{stem}}.png")
-        return found[0] if found else None
+        return there[0] if there else None
 
     return file_of
 
@@ -286,14 +284,10 @@ def _require_found(
         return
     files = [getattr(row, column) for row in rows]
     if not any(files):
-        folder = Path(_FIELD.split(str(given))[0])
-        folder = folder if folder.is_dir() else folder.parent
-        ends = Counter(file.suffix for file in folder.rglob("*.*") if file.is_file())
-        there = "".join(f"; found {n} files ending in {end}" for end, n in ends.most_common(1))
         expected = Path(given, rows[0].name).with_suffix("") if Path(given).is_dir() else given
         got = f"{given} has a file for no picture: expected such as {expected}, ending in"
         cure = f"give a pattern with {{stem}}, or a table (.csv) with a column {column}"
-        raise ValueError(f"{column}: {got} {', '.join(endings)}{there}: {cure}")
+        raise ValueError(f"{column}: {got} {', '.join(endings)}: {cure}")
     if "{stem}" in str(given) or Path(given).is_dir():
         takers: dict[Path, str] = {}
         for row, file in zip(rows, files, strict=True):
@@ -302,18 +296,18 @@ def _require_found(
                 raise ValueError(f"{column}: {got}: write a table with the column {column}")
 
 
-def _require_own(column: str, rows: Sequence[Row]) -> None:
-    """Refuse files that several rows name, but not all, and that are not of one film."""
+def _require_own(column: str, rows_of: Mapping[Path, Sequence[Row]], count: int) -> None:
+    """Refuse files that several of so many rows name, but not all, and that are of no one film."""
     takers: dict[str, list[Row]] = {}
-    for row in rows:
-        if (file := getattr(row, column)) is not None and file.suffix.lower() != ".json":
-            takers.setdefault(os.path.realpath(file), []).append(row)
-    for file, those in takers.items():
-        is_of_all = len(those) == len(rows)
+    for file, those in rows_of.items():
+        if file.suffix.lower() != ".json":
+            takers.setdefault(os.path.realpath(file), []).extend(those)
+    for name, those in takers.items():
         is_of_film = len({row.film for row in those}) == 1 and those[0].film
-        pictures = {os.path.realpath(row.picture) for row in those}
-        if len(pictures) > 1 and not is_of_all and not is_of_film:
-            got = f"{file} is of {those[0].name} and {those[1].name}"
+        if len(those) in (1, count) or is_of_film:
+            continue
+        if len({os.path.realpath(row.picture) for row in those}) > 1:
+            got = f"{name} is of {those[0].name} and {those[1].name}"
             raise ValueError(f"column {column}: {got}, but neither of all rows nor of one film")
 
 
@@ -335,14 +329,6 @@ def _row(header: Sequence[str], cells: Sequence[str], folder: Path) -> Row:
         raise ValueError(f"time must be a number, got {time}")
     name, film, picture = texts.get("name", ""), texts.get("film", ""), folder / texts["picture"]
     return Row(name, picture, distance, labels, SPLITS.get(split, ""), film, moment)
-
-
-def _names(pictures: Sequence[Path], folder: Path) -> list[str]:
-    """Paths of pictures below a folder; if not all are, below the folder that holds all."""
-    root, paths = Path(os.path.realpath(folder)), [*map(absolute, pictures)]
-    if not all(path.is_relative_to(root) for path in paths):
-        root = Path(os.path.commonpath([path.parent for path in paths]))
-    return [path.relative_to(root).as_posix() for path in paths]
 
 
 def _relative(file: Path, folder: str) -> str:

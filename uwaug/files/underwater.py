@@ -12,12 +12,12 @@ from torch import Tensor
 from uwaug._support import codec
 from uwaug._support.threads import one_thread
 from uwaug.distance.made_up import MadeUp
-from uwaug.distance.sources import Inverse, Relative, Source
+from uwaug.distance.sources import Inverse, Relative
 from uwaug.distance.unknown import of_shares
 from uwaug.files.films import Films, frames_of
 from uwaug.files.formats import open_labels
 from uwaug.files.labels import Labels, judged
-from uwaug.files.pictures import ENDINGS, Picture, write_picture
+from uwaug.files.pictures import ENDINGS, write_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, run, versions
@@ -28,7 +28,6 @@ from uwaug.optics.curves import FARTHEST
 from uwaug.transforms.truth import MAPS, Truth
 
 _CONTRAST_ROWS = 128  # rows of the short side, about, that give the mean contrast of a picture
-_DARK_LIGHT = 1 / 8  # share of white that no value of a picture of 12 bits in 16 reaches
 
 
 def degrade(
@@ -164,8 +163,7 @@ class _Underwater(Work):
 
     def make(self, job: Job) -> tuple[tuple[Tensor, Truth | None], dict[str, Any]]:
         row, labels = job.row, job.labels
-        picture, z = self.recipe.read(row)
-        image = picture.image
+        (image, turn), z = self.recipe.read(row)
         transform = self.recipe.transform_of(row.picture)
         if job.frame is None:
             params = self.recipe.drawn(row.name, job.variant)
@@ -183,6 +181,11 @@ class _Underwater(Work):
         objects = []
         if labels is not None:
             objects = judged(labels, row.name, contrast, self.recipe.min_contrast)
+        asked = ["turned"] if turn > 1 and (z is not None or labels is not None) else []
+        source = transform.distance
+        may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
+        if may_have_holes and z is not None and bool(of_shares(z).any()):
+            asked.append("alone")
         return (degraded, truth), {
             "params": params,
             "color_space": transform.development.color_space,
@@ -192,7 +195,7 @@ class _Underwater(Work):
             "odd": clarity.odd if clarity else "",
             "truth": truth and truth.record(),
             "objects": [label._asdict() for label in objects],
-            "asked": _questions(job, transform.distance, picture, z),
+            "asked": asked,
         }
 
     def write(self, path: Path, result: tuple[Tensor, Truth | None], row: Row) -> None:
@@ -218,8 +221,11 @@ class _Underwater(Work):
         if not sample["applied"]:
             return "left alone"
         distance = f"{record['clarity']['metres']:.2g} m, "
-        water = " + ".join(_short_name(water) for water in sample["water"]["waters"])
-        return f"{distance}contrast {record['contrast']:.2f}\n{water}"
+        waters = [
+            water if isinstance(water, str) else ",".join(f"{x}={y:.2g}" for x, y in water.items())
+            for water in sample["water"]["waters"]
+        ]
+        return f"{distance}contrast {record['contrast']:.2f}\n{' + '.join(waters)}"
 
 
 def _files_of(value: Any) -> Iterator[Path]:
@@ -228,26 +234,6 @@ def _files_of(value: Any) -> Iterator[Path]:
             yield from _files_of(part)
     elif isinstance(value, str) and Path(value).suffix and Path(value).is_file():
         yield Path(value)
-
-
-def _short_name(water: str | dict[str, float]) -> str:
-    """Name of a water, or its contents to two digits, so that a label holds them."""
-    if isinstance(water, str):
-        return water
-    return ",".join(f"{content}={amount:.2g}" for content, amount in water.items() if amount)
-
-
-def _questions(job: Job, source: Source, picture: Picture, z: Tensor | None) -> list[str]:
-    image = picture.image
-    may_be_12_bits = job.row.picture.suffix.lower() in (".png", ".tif", ".tiff")
-    may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
-    doubts = {
-        "turned": (z is not None or job.labels is not None) and picture.orientation > 1,
-        "dark": may_be_12_bits and image.is_floating_point() and float(image.max()) < _DARK_LIGHT,
-        "profile": bool(picture.profile),
-        "alone": may_have_holes and z is not None and bool(of_shares(z).any()),
-    }
-    return [key for key, applies in doubts.items() if applies]
 
 
 def _jobs(recipe: Recipe, rows: Sequence[Row], labels: Labels | None) -> Iterator[Job]:

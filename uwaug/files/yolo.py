@@ -4,7 +4,7 @@ import os
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import cycle
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from uwaug._support.atomic import read_text
@@ -54,10 +54,15 @@ class Yolo(PerPicture):
 
     def _require_apart(self, rows: Sequence["Row"]) -> None:
         """Refuse to train on pictures that the data.yaml names as val, but not as train, too."""
-        own = {split: self._held(split, rows) for split in ("train", "val", "test")}
+        named: dict[str, set[Path]] = {}
+        for split in ("train", "val", "test"):
+            places = self._stated(split)
+            listed = [p.parent / line for p in places if p.is_file() for line in _lines(p) if line]
+            named[split] = {Path(os.path.abspath(place)) for place in (*places, *listed)}
         for row in rows:
-            split = row.split or "train"
-            if split != "val" and row.name in own["val"] - own[split]:
+            picture, split = Path(os.path.abspath(row.picture)), row.split or "train"
+            own = {picture, *picture.parents}
+            if split != "val" and own & named["val"] and not own & named[split]:
                 got = f"{row.name} is of val there, but of {split} here"
                 raise ValueError(f"{self.source}: {got}: write a table with the column split")
 
@@ -73,29 +78,6 @@ class Yolo(PerPicture):
             path = next((path for path in tried if path.exists()), tried[0])
             paths.append(Path(os.path.abspath(path)))
         return paths
-
-    def _held(self, split: str, rows: Sequence["Row"]) -> set[str]:
-        """Names of rows whose pictures the data.yaml names for a split. Paths of another machine
-        are compared by their ends, and with rows of no split alone.
-        """
-        paths: set[str] = set()
-        ends: set[str] = set()
-        for path in self._stated(split):
-            lines = [line.strip() for line in _lines(path)] if path.is_file() else [str(path)]
-            for line in filter(None, lines):
-                file = os.path.abspath(path.parent / line)
-                parts = [part for part in PureWindowsPath(line).parts if part != "images"]
-                if os.path.exists(file):
-                    paths.add(file)
-                else:
-                    ends.add(parts[-1])
-        held = set()
-        for row in rows:
-            picture = Path(os.path.abspath(row.picture))
-            is_near = not row.split and not ends.isdisjoint(picture.parts)
-            if is_near or not paths.isdisjoint(map(str, (picture, *picture.parents))):
-                held.add(row.name)
-        return held
 
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         from uwaug._support.pixels import of_box, of_polygons
