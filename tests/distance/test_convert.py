@@ -124,3 +124,12 @@ REFUSED = [
 def test_refused(convert, arguments, message) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         convert(*arguments)
+
+
+def test_open_water_spoils_no_other_gradient() -> None:
+    inverse = torch.tensor([[0.0, 1.0, 2.0]], dtype=torch.float64, requires_grad=True)
+    z = from_inverse(inverse, 1.0, torch.inf)
+    assert z[0, 0] == torch.inf
+    z[0, 1:].sum().backward()
+    assert inverse.grad is not None
+    assert inverse.grad.isfinite().all()

@@ -48,6 +48,19 @@ def test_a_film_is_settled_on_the_middle_of_the_first_camera() -> None:
     assert {row.name[0] for row in candidates} == {"a"}
 
 
+def test_cameras_of_a_rig_may_differ_by_milliseconds() -> None:
+    cells = [
+        (f"{c}/{n}.png", "f", n / 20 + late)
+        for n in range(9)
+        for c, late in (("a", 0), ("b", 0.004))
+    ]
+    frames = frames_of(rows_of(*cells))
+    assert [frames[f"{c}/{n}.png"].moment for n in range(9) for c in "ab"] == [
+        pytest.approx(n + late) for n in range(9) for late in (0, 0.1)
+    ]
+    assert {row.name[0] for row in frames["b/3.png"].candidates} == {"a"}
+
+
 def test_a_film_with_some_times_is_refused() -> None:
     with pytest.raises(ValueError, match=r"time: of film f 1\.png has none"):
         frames_of(rows_of(("0.png", "f", 1.0), ("1.png", "f", None)))

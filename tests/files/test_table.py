@@ -218,6 +218,7 @@ def test_names_are_paths_below_the_table_or_below_what_holds_all_pictures() -> N
     "text, message",
     [
         ("", "expected a column picture"),
+        ("picture,Distances\n1.png,1.npy\n", "expected a column distance, .* got distances"),
         ("image,depth\n1.png,1.npy\n", "expected a column picture, .* got image, depth"),
         ("picture\n", "and rows below it, got picture"),
         ("picture,distance\n1.png\n", "line 2: has 1 cells and the first line 2"),

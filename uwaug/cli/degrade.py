@@ -161,8 +161,10 @@ def degrade(
         from uwaug.files import Recipe
         from uwaug.files import degrade as run
         from uwaug.files.distances import are_maps, distances_of
+        from uwaug.files.films import frames_of
+        from uwaug.files.formats import open_labels
         from uwaug.files.prepare import prepare, references_of
-        from uwaug.files.table import as_csv, in_words
+        from uwaug.files.table import as_csv, in_words, require_rows
         from uwaug.transforms import RandomUnderwater
 
         named = set_ or (), water or (), contrast
@@ -177,6 +179,10 @@ def degrade(
         rows = _rows(pictures, maps_of, labels, sequence=sequence, out=out)
         print(in_words(rows), flush=True)
         if dry_run:
+            require_rows(rows)
+            frames_of(rows)
+            if any(row.labels for row in rows):
+                open_labels(rows, classes)
             print(as_csv(rows[:_ROWS_SHOWN]), end="")
             return
         has_maps, is_film = any(row.distance for row in rows), any(row.film for row in rows)

@@ -76,7 +76,10 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
     # halves, whose difference no pair of finite values can make infinite
     low = least / 2
     s = (torch.where(finite, inverse / 2, low) - low) / (largest / 2 - low)
-    return torch.where(finite, 1 / (1 / far + (1 / near - 1 / far) * s), torch.nan)
+    rate = 1 / far + (1 / near - 1 / far) * s
+    is_open = rate == 0  # of which 1/z has no gradient
+    z = torch.where(is_open, torch.inf, 1 / torch.where(is_open, 1.0, rate))
+    return torch.where(finite, z, torch.nan)
 
 
 def from_disparity(

@@ -25,8 +25,8 @@ class Frame(NamedTuple):
 
 
 def frames_of(rows: Sequence[Row]) -> dict[str, Frame]:
-    """The frame of each row that is of a film, by its name. The usual step in time is one frame;
-    rows of one time are of several cameras.
+    """The frame of each row that is of a film, by its name. A camera of a film has a folder of its
+    own, and its usual step in time is one frame; rows of one folder and time are of several, too.
     """
     films: dict[str, list[Row]] = {}
     for row in rows:
@@ -40,12 +40,15 @@ def frames_of(rows: Sequence[Row]) -> dict[str, Frame]:
             raise ValueError(f"time: of film {film} {bare} has none: give each of its rows one")
         moments = np.array(times or range(len(those)), float)
         order = np.argsort(moments, kind="stable")
-        clock, first = np.unique(moments, return_index=True)
-        step = np.median(np.diff(clock)) if len(clock) > 1 else 1.0
-        camera = [those[place] for place in first]
+        folders = np.array([row.picture.parent.as_posix() for row in those])
+        clocks = [np.unique(moments[folders == folder]) for folder in {*folders}]
+        steps = np.concatenate([np.diff(clock) for clock in clocks])
+        step = np.median(steps) if len(steps) else 1.0
+        own = np.flatnonzero(folders == folders[order[0]])
+        camera = [those[own[place]] for place in np.unique(moments[own], return_index=True)[1]]
         shares = [(n / _CANDIDATES + 0.5) % 1 for n in range(_CANDIDATES)]
         candidates = tuple(dict.fromkeys(camera[int(s * len(camera))] for s in shares))
-        moments = ((moments - clock[0]) / step).round(1)
+        moments = ((moments - moments.min()) / step).round(1)
         for number, place in enumerate(order):
             frames[those[place].name] = Frame(number, float(moments[place]), candidates)
     return frames

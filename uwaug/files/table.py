@@ -8,6 +8,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
@@ -75,6 +76,9 @@ def read_table(path: str | Path) -> list[Row]:
     if "picture" not in header or len(lines) < 2:
         got = ", ".join(header)
         raise ValueError(f"{path}: expected a column picture, and rows below it, got {got}")
+    for column in {*header} - {*Row._fields}:
+        if near := get_close_matches(column, Row._fields, 1, 0.8):
+            raise ValueError(f"{path}: expected a column {near[0]}, or another name, got {column}")
     rows = []
     for number, cells in lines[1:]:
         try:
@@ -255,13 +259,15 @@ def _finder(
         expected = "expected {stem}, {folder} or {split}"
         raise ValueError(f"{column}: {given} has {{{min(unknown)}}}: {expected}")
     if not fields and not pattern.is_dir():
-        pattern.stat()
+        if pattern.stat() and pattern.suffix.lower() not in (*endings, ".json"):
+            raise ValueError(
+                f"{column}: expected a file ending in {', '.join(endings)}, got {given}"
+            )
         return lambda path, place, split: pattern
 
     def file_of(path: Path, place: Path, split: str) -> Path | None:
         if fields:
-            values = {"stem": place.stem, "folder": str(place.parent), "split": split}
-            named = [os.path.normpath(_FIELD.sub(lambda match: values[match[1]], str(given)))]
+            named = [_named(given, place, split)]
         else:
             stem = pattern / place.with_suffix("")
             named = [f"{stem}{end}" for end in endings]
@@ -276,6 +282,12 @@ def _finder(
     return file_of
 
 
+def _named(pattern: str | Path, place: Path, split: str) -> str:
+    """The path that a pattern names for a picture at a place below the folder of pictures."""
+    values = {"stem": place.stem, "folder": str(place.parent), "split": split}
+    return os.path.normpath(_FIELD.sub(lambda match: values[match[1]], str(pattern)))
+
+
 def _require_found(
     column: str, given: str | Path | None, rows: Sequence[Row], endings: Sequence[str]
 ) -> None:
@@ -284,10 +296,13 @@ def _require_found(
         return
     files = [getattr(row, column) for row in rows]
     if not any(files):
-        expected = Path(given, rows[0].name).with_suffix("") if Path(given).is_dir() else given
-        got = f"{given} has a file for no picture: expected such as {expected}, ending in"
+        place = Path(rows[0].name)
+        expected = _named(given, place, rows[0].split)
+        if Path(given).is_dir():
+            expected = f"{Path(given, place).with_suffix('')}, ending in {', '.join(endings)}"
+        got = f"{given} has a file for no picture: expected such as {expected}"
         cure = f"give a pattern with {{stem}}, or a table (.csv) with a column {column}"
-        raise ValueError(f"{column}: {got} {', '.join(endings)}: {cure}")
+        raise ValueError(f"{column}: {got}: {cure}")
     if "{stem}" in str(given) or Path(given).is_dir():
         takers: dict[Path, str] = {}
         for row, file in zip(rows, files, strict=True):
