@@ -6,28 +6,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from uwaug import (
-    Camera,
-    Constituents,
-    Lamp,
-    Light,
-    MarineSnow,
-    Medium,
-    PointSpread,
-    RandomDevelopment,
-    RandomLight,
-    RandomUnderwater,
-    RandomWater,
-    Sensor,
-    Water,
-)
+import uwaug
+from uwaug import Camera, Constituents, Lamp, RandomDevelopment, RandomUnderwater, RandomWater, View
 from uwaug.distance import Inverse, MadeUp, Metres, Network, Plane, Relative
 
 H, W = 24, 33
-TANK = Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8], name="tank")
+TANK = uwaug.Water([400, 550, 700], [0.5, 0.2, 0.7], [1.3, 1.1, 1.0], [0.7, 0.3, 0.8], name="tank")
 COAST = Constituents(chlorophyll=(1, 20), cdom=(0.1, 2), minerals=0.5)
 LASERS = Camera([450, 550, 600], [[0, 0, 1], [0, 1, 0], [1, 0, 0]], name="lasers")
-FIT = Medium.from_coefficients([0.4, 0.2, 0.1], [0.3, 0.15, 0.1], [0.1, 0.3, 0.4], b_mean=0.2)
+FIT = uwaug.Medium.from_coefficients([0.4, 0.2, 0.1], [0.3, 0.15, 0.1], [0.1, 0.3, 0.4], b_mean=0.2)
 RAW = RandomDevelopment(**RandomDevelopment.PLAIN)
 EVERYTHING = {
     "mixing": (0.0, 1.0),
@@ -53,9 +40,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "contents": {"water": RandomWater([COAST, "II", TANK], mixing=(0.0, 1.0))},
     "fit": {"water": [FIT, "II"]},
     "camera": {"water": RandomWater(camera=LASERS)},
-    "heavy tails": {"water": RandomWater(point_spread=PointSpread(1.0, 0.6, "exponential"))},
+    "heavy tails": {"water": RandomWater(point_spread=uwaug.PointSpread(1.0, 0.6, "exponential"))},
     "even": {"water": RandomWater(field=None)},
-    "snowy": {"water": RandomWater(snow=MarineSnow((500.0, 2000.0)))},
+    "snowy": {"water": RandomWater(snow=uwaug.MarineSnow((500.0, 2000.0)))},
     "relative": {"distance": Relative((0.0, 1.0), (4.0, 8.0), (1.0, 3.0))},
     "inverse": {"distance": Inverse((0.5, 1.0), 8.0, holes=3.0)},
     "plane": {"distance": 3.0},
@@ -63,12 +50,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "network": {"distance": Network(brightness)},
     "made up": {"distance": MadeUp()},
     "half": {"p": 0.5},
-    "fill": {"distance": Metres("fill", True)},
+    "fill": {"distance": Metres("fill", True), "view": View(60.0)},
     "keys": {"keys": ("rgb", "range")},
     "linear": {"development": RandomDevelopment(color_space="linear")},
-    "night": {"light": RandomLight(share=0.5)},
-    "lamp": {"light": Light((Lamp((0.5, 0.0, -1.0), 3.0),), 0.5)},
-    "noisy": {"development": RandomDevelopment(noise=Sensor((2e3, 2e4), (1.0, 4.0)))},
+    "night": {"light": uwaug.RandomLight(share=0.5)},
+    "lamp": {"light": uwaug.Light((Lamp((0.5, 0.0, -1.0), 3.0),), 0.5)},
+    "noisy": {"development": RandomDevelopment(noise=uwaug.Sensor((2e3, 2e4), (1.0, 4.0)))},
 }
 
 

@@ -3,12 +3,10 @@ sent by name.
 """
 
 import json
-from collections.abc import Iterator
-from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils.data import Dataset, Sampler, default_collate
+from torch.utils.data import Dataset
 
 from uwaug import RandomUnderwater
 
@@ -51,9 +49,7 @@ class Pairs(Dataset[tuple[Tensor, Tensor, str]]):
 
 
 class Keyed(Dataset[tuple[int, Tensor]]):
-    """For studies that must repeat: water from (seed, epoch, name); the epoch may come from a
-    sampler.
-    """
+    """For studies that must repeat: water from (seed, epoch, name)."""
 
     def __init__(self, crops: Crops, augment: RandomUnderwater) -> None:
         self.crops, self.augment, self.epoch = crops, augment, 0
@@ -61,34 +57,6 @@ class Keyed(Dataset[tuple[int, Tensor]]):
     def __len__(self) -> int:
         return len(self.crops)
 
-    def __getitem__(self, key: int | tuple[int, int]) -> tuple[int, Tensor]:
-        epoch, index = key if isinstance(key, tuple) else (self.epoch, key)
-        image, *_ = self.augment.at(0, epoch, f"crops/{index}.png")(self.crops[index])
+    def __getitem__(self, index: int) -> tuple[int, Tensor]:
+        image, *_ = self.augment.at(0, self.epoch, f"crops/{index}.png")(self.crops[index])
         return index, image
-
-
-class Epochs(Sampler[tuple[int, int]]):
-    """Shuffled (epoch, index): what reaches workers that persist, which keep the dataset that they
-    were started with.
-    """
-
-    def __init__(self, count: int) -> None:
-        self.count, self.epoch = count, 0
-
-    def __len__(self) -> int:
-        return self.count
-
-    def __iter__(self) -> Iterator[tuple[int, int]]:
-        pairs = [(self.epoch, index) for index in torch.randperm(self.count).tolist()]
-        self.epoch += 1
-        return iter(pairs)
-
-
-class DegradeBatch:
-    """A `collate_fn` that degrades whole batches."""
-
-    def __init__(self, augment: RandomUnderwater) -> None:
-        self.augment = augment
-
-    def __call__(self, samples: list[Any]) -> Any:
-        return self.augment(default_collate(samples))

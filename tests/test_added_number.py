@@ -37,15 +37,11 @@ assert 1 < drawn["port"] < 2
 made = augment.transform(image, distance, record)
 record["samples"][0]["development"] = {**drawn, "port": 0.0, "exposure": -drawn["port"]}
 assert torch.equal(augment.transform(image, distance, record), made)
-record["samples"][0]["development"] = {**drawn, "port": 0.0}
-assert augment.transform(image, distance, record).mean() > 1.2 * made.mean()
 
 # it is read, refused and fixed as all others
 record["samples"][0]["development"] = {**drawn, "port": 9.0}
 with pytest.raises(ValueError, match=r"development.port must be in \\[0, 3\\], got 9"):
     augment.transform(image, distance, record)
-with pytest.raises(ValueError, match=r"port must be .* in \\[0, 3\\]"):
-    uwaug.RandomDevelopment(port=(1.0, 4.0))
 twin = uwaug.RandomUnderwater.from_dict(json.loads(json.dumps(augment.to_dict())))
 assert twin.development == camera
 with pytest.raises(ValueError, match="development.port"):

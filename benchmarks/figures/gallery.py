@@ -230,7 +230,7 @@ def reds(scene: Scene) -> Image.Image:
     def cell(surfaces: str, depth: float) -> Cell:
         is_spectral = surfaces == "spectral"
         medium = Medium.from_water("II", vertical_depth=depth, surfaces=surfaces)
-        camera = Development(exposure="auto", gamut=float(is_spectral))
+        camera = Development(metered=True, gamut=float(is_spectral))
         label = f"{depth:g} m, {'spectra' if is_spectral else 'one number a channel'}"
         return Underwater(medium, development=camera)(image, distance), label
 

@@ -59,8 +59,8 @@ def accuracy() -> str:
         f"By `python -m benchmarks` ({on}).",
         f"**Blur**, by {low} to {high} blurs, is within {psnr:.0f} dB of each pixel's own Gaussian "
         f"of .75 to 60 px. **Curves** are within {error:.4f} of sums over 61 bands. The **image** "
-        f"has an RMSE of {largest:.4f} of linear light at most, in {len(rows)} cases of water, "
-        f"distance and blur; a single value is {worst:.4f} off.",
+        f"has an RMSE of {largest:.4f} of linear light at most, in {len(rows)} cases; a single "
+        f"value is {worst:.4f} off.",
         "**Light transport** (`physics`): mean RMSE of direct and forward-scattered light against "
         "Monte Carlo transport over 0.1 to 5 scattering lengths, and in six Monte Carlo pictures:",
         _transport_table(load("physics")),
@@ -114,8 +114,8 @@ def surfaces() -> str:
     paragraphs = [
         "**Colours** (`surfaces`): RMSE of 24 patches of the ColorChecker and of 99 CIE 2017 "
         f"samples against their spectra in 61 bands, white = 1, in {places} places of ten waters. "
-        "All but the last have the camera's colour matrix. The last multiplies sRGB values, as "
-        "published systems do:",
+        "The last multiplies sRGB values, as published systems do; all others have the camera's "
+        "colour matrix:",
         table(head, rows),
         "![Red, green, skin and white against depth: truth, uwaug, one number a channel]"
         "(figures/surfaces.png)",
@@ -141,8 +141,8 @@ def chart() -> str:
         "`python -m benchmarks frontier` tries every way that we know to compute each part: error "
         "of the final image against time. The default, in PyTorch, is red:",
         "![PSNR against time for blur, spectra, number formats and runtimes](figures/frontier.png)",
-        f"It is on the Pareto front or within 10 % of it in {near} of {len(every)} panels (seven "
-        "are drawn): how much slower it is than the fastest method that is as accurate:",
+        f"It is on the Pareto front or within 10 % of it in {near} of {len(every)} panels, of "
+        "which seven are drawn. How much slower it is than the fastest method that is as accurate:",
         table(["part", "PSNR, 512²", *settings, "which is"], rows),
     ]
     return "\n\n".join(paragraphs)
@@ -167,7 +167,7 @@ def stability() -> str:
         rows.append([method, *cells])
     paragraphs = [
         f"`python -m benchmarks stability` judges methods in {conditions} hard conditions, from "
-        "z = 0 and z = +∞ to NaN and float16; in how many of those that apply is each right?",
+        "z = 0 and z = +∞ to NaN and float16. In how many of those that apply is each right?",
         table(["method", "value", "gradient"], rows),
         "![Methods against hard conditions: value and gradient of each](figures/stability.svg)",
     ]
@@ -177,16 +177,14 @@ def stability() -> str:
 def speed() -> str:
     """Milliseconds, and pictures per second."""
     throughput = load("throughput")
-    calls, first = throughput["calls"], throughput["first_picture_s"]
-    lit = throughput["lamps"]["512"]
+    first, lit = throughput["first_picture_s"], throughput["lamps"]["512"]
     paragraphs = [
         "`throughput`: one picture with measured distances and a field, one thread, by the loops: "
         "milliseconds, and how many times as fast as the recipe:",
         _single(throughput["single"]),
         "A DataLoader with two workers, pictures/s:",
         _loaders(throughput["loader"]),
-        f"A draw takes {calls['loops']} Python calls by the loops and {calls['eager']} by PyTorch. "
-        f"The first of a process takes {first:.1f} s. Lamps take "
+        f"The first draw of a process takes {first:.1f} s. Lamps take "
         f"{lit['loops, lit by lamps']:.1f} times as long as daylight by the loops and "
         f"{lit['PyTorch, lit by lamps']:.1f} times by PyTorch.",
         _device(throughput["device"]),
@@ -229,11 +227,10 @@ def fits() -> str:
         f"{name} {100 * share:.2f} %" for name, share in found["median_relative_error"].items()
     )
     return (
-        f"**Fits** (`python -m benchmarks.accuracy.fitting_recovery`): {found['runs']} random "
-        f"waters, 250×370, 1 % noise, 8 bits, model `auto`. {found['covered_percent']:.0f} % of "
-        f"{found['numbers']} intervals hold the truth. Median errors are {off}. `auto` picks the "
-        f"model that made the picture in {found['right_model_percent']:.0f} %. "
-        + _files(found["files"])
+        f"**Fits** (`fitting_recovery`): {found['runs']} random waters, 250×370, 1 % noise, "
+        f"8 bits, model `auto`. {found['covered_percent']:.0f} % of {found['numbers']} intervals "
+        f"hold the truth. Median errors are {off}. `auto` picks the model that made the picture in "
+        f"{found['right_model_percent']:.0f} %. " + _files(found["files"])
     )
 
 
@@ -241,10 +238,8 @@ def _files(found: dict[str, Any]) -> str:
     """How many intervals hold the truth, by the files that pictures come from."""
     cells = []
     for name, row in found.items():
-        states = row["states"]
-        told = 100 * row["numbers"] / sum(states.values())
-        held, shown = f"{row['covered_percent']:.0f} % from {name}", f"{told:.0f} % of the numbers"
-        cells.append(f"{held} ({row['runs']} pairs; {shown} are identified)")
+        told = 100 * row["numbers"] / sum(row["states"].values())
+        cells.append(f"{row['covered_percent']:.0f} % from {name} ({told:.0f} % are identified)")
     setting = "125×185, .5 % noise, the right model, both from files"
     return f"Of smaller pictures ({setting}): {', '.join(cells)}."
 

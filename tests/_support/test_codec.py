@@ -27,7 +27,7 @@ from uwaug.distance import Network
 LAW = PointSpread(0.5, 0.7, "exponential")
 VALUES = {
     "width law": PointSpread.paper(),
-    "development": Development("auto", tone=1.3, gamut=0.5),
+    "development": Development(metered=True, tone=1.3, gamut=0.5),
     "contents": Constituents(chlorophyll=(1, 5), cdom=0.3),
     "water": Water.jerlov("5C").with_contrast(0.2, 3),
     "camera": load_camera("Sigma SDMerill (NPL)"),
@@ -37,6 +37,9 @@ VALUES = {
 
 
 CLASSES = (PointSpread, Development, Constituents, Water, Camera)
+DEEP: Any = 1
+for _ in range(5000):
+    DEEP = [DEEP]
 
 
 @pytest.mark.parametrize("name", VALUES)
@@ -58,22 +61,17 @@ def test_arrays_paths_and_mappings() -> None:
     assert plain == {"1": 2.0, "a": [0, 1, 2], "b": [[1, 0], [0, 1]], "c": "x"}
 
 
-@dataclass
-class Unknown:
-    """Of no room."""
-
-
-@pytest.mark.parametrize("value", [print, Unknown(), {"law": object()}])
-def test_what_cannot_be_written(value: Any) -> None:
-    with pytest.raises(TypeError, match="cannot be written as numbers and words"):
-        codec.to_plain(value)
+def test_what_cannot_be_written() -> None:
+    of_no_room = dataclass(type("Unknown", (), {}))()
+    for value in (print, of_no_room, {"law": object()}):
+        with pytest.raises(TypeError, match="cannot be written as numbers and words"):
+            codec.to_plain(value)
 
 
 @pytest.mark.parametrize(
     "data, expected, message",
     [
         ({"kind": "Sea"}, CLASSES, "PointSpread.*, got 'Sea'"),
-        ({"kind": "Development"}, (PointSpread,), "got 'Development'"),
         ({"kind": "pointspread"}, (PointSpread,), "did you mean PointSpread"),
         ({"kind": "PointSpread", "width": 2}, (PointSpread,), "has no 'width', only sc"),
         ({"scale": 1, "sahpe": "gaussian"}, (PointSpread,), "did you mean shape?"),
@@ -85,6 +83,8 @@ def test_what_cannot_be_written(value: Any) -> None:
         ({"noise": {"seed": 1, "full_well": True}}, (RandomDevelopment,), "full_well must be"),
         ({"multiple": 2.5}, (Network,), "multiple must be a whole number"),
         ({"p": True}, (RandomUnderwater,), "p must be a number"),
+        ({"p": DEEP}, (RandomUnderwater,), "nested too deeply"),
+        ({"share": "none"}, (RandomLight,), "got 'none'"),
         ({"distance": {"kind": "Water"}}, (RandomUnderwater,), "got 'Water'"),
     ],
 )
@@ -93,28 +93,15 @@ def test_what_cannot_be_read(data: Any, expected: tuple[type, ...], message: str
         codec.from_plain(data, *expected)
 
 
-def test_none_is_a_word_where_a_field_may_be_none() -> None:
+def test_words_for_truth_and_none() -> None:
+    for word, truth in (("False", False), ("off", False), ("On", True)):
+        assert codec.from_plain({"metered": word}, RandomDevelopment).metered is truth
     plain = {"kind": "RandomWater", "field": "none"}
     assert codec.to_plain(RandomWater(field=None)) == plain
     assert codec.from_plain(plain, RandomWater).field is None
-    with pytest.raises(ValueError, match="got 'none'"):
-        codec.from_plain({"share": "none"}, RandomLight)
 
 
 def test_a_name_stands_for_one_class() -> None:
-    with pytest.raises(TypeError, match=r"'PointSpread' is taken by uwaug\.optics\.point_spread"):
+    with pytest.raises(TypeError, match=r"'PointSpread' is taken by .*uwaug\.optics\.point_spread"):
         codec.plain(dataclass(type("PointSpread", (), {})))
     assert codec.from_plain({"scale": 2.0}, PointSpread) == PointSpread(2.0)
-
-
-@pytest.mark.parametrize("word, truth", [("False", False), ("off", False), ("On", True)])
-def test_words_for_truth(word: str, truth: bool) -> None:
-    assert codec.from_plain({"metered": word}, RandomDevelopment).metered is truth
-
-
-def test_deep_nesting_is_refused() -> None:
-    deep: Any = 1
-    for _ in range(5000):
-        deep = [deep]
-    with pytest.raises(ValueError, match="nested too deeply"):
-        codec.from_plain({"p": deep}, RandomUnderwater)

@@ -17,7 +17,7 @@ def physics(deepinv: Any) -> Any:
     from uwaug.adapters.deepinv import UnderwaterPhysics
 
     medium = uwaug.Medium.from_water("3C", vertical_depth=2, surfaces="spectral")
-    camera = uwaug.Development(exposure="auto")
+    camera = uwaug.Development(metered=True)
     return UnderwaterPhysics(uwaug.Underwater(medium, development=camera), metres())
 
 
@@ -65,18 +65,9 @@ def test_slopes_are_those_of_differences_and_can_be_learned_through(physics: Any
     assert all(p.grad.abs().max() > 0 for p in physics.parameters())
 
 
-def test_descent_finds_the_scene(deepinv: Any) -> None:
+def test_the_inverse_comes_near_the_scene(deepinv: Any) -> None:
     from uwaug.adapters.deepinv import UnderwaterPhysics
 
-    x, fidelity = scene(), deepinv.optim.data_fidelity.L2()
-    physics = UnderwaterPhysics(uwaug.Medium.from_water("1C"), metres())
+    physics, x = UnderwaterPhysics(uwaug.Medium.from_water("1C"), metres()), scene()
     y = physics(x)
-
-    def off(found: Tensor) -> float:
-        return float((found - x).square().mean().sqrt())
-
-    guess = y
-    for _ in range(60):
-        guess = guess - 3 * fidelity.grad(guess, y, physics)
-    assert off(guess) < 0.05 * off(y)
-    assert off(physics.A_dagger(y)) < 0.6 * off(y)
+    assert (physics.A_dagger(y) - x).square().mean() < 0.36 * (y - x).square().mean()

@@ -22,7 +22,11 @@ SIDE = 64
 
 
 @pytest.fixture
-def data(tmp_path: Path) -> Path:
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torchvision: Any) -> Path:
+    monkeypatch.setenv("YOLO_CONFIG_DIR", str(tmp_path))
+    monkeypatch.setenv("YOLO_OFFLINE", "true")
+    monkeypatch.chdir(tmp_path)
+    pytest.importorskip("ultralytics", reason="not installed: 390 MB; run by hand")
     random = np.random.default_rng(0)
     for folder in ("images", "labels"):
         (tmp_path / folder).mkdir()
@@ -37,10 +41,7 @@ def data(tmp_path: Path) -> Path:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_epochs_of_yolo(data: Path, torchvision: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("YOLO_CONFIG_DIR", str(data.parent))
-    monkeypatch.setenv("YOLO_OFFLINE", "true")
-    pytest.importorskip("ultralytics", reason="not installed: 390 MB; run by hand")
+def test_epochs_of_yolo(data: Path) -> None:
     from ultralytics import YOLO
     from ultralytics.models.yolo.detect import DetectionTrainer
 
@@ -90,13 +91,7 @@ def test_epochs_of_yolo(data: Path, torchvision: Any, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_the_script_of_the_guide(
-    data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("YOLO_CONFIG_DIR", str(data.parent))
-    monkeypatch.setenv("YOLO_OFFLINE", "true")
-    monkeypatch.chdir(data.parent)
-    pytest.importorskip("ultralytics", reason="not installed: 390 MB; run by hand")
+def test_the_script_of_the_guide(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     guide = Path(uwaug.__file__).parent / "DOES-IT-HELP.md"
     (script,) = re.findall(r"```py\n(.*?)```", guide.read_text(encoding="utf-8"), re.DOTALL)
     small = '{"data": "data.yaml", "epochs": 1, "imgsz": 64, "workers": 0, "device": "cpu"}'

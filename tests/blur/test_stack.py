@@ -1,12 +1,9 @@
 import itertools
 import math
 
-import kornia
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from referees import reference
 from scenes import SIZES, constant, rand
 
@@ -19,20 +16,6 @@ from uwaug.blur.stack import varying_blur
 RANGES = [(0.9, 4.5), (0.75, 15.0), (2.0, 60.0)]
 
 
-def node(sigma: float, cell: float = 1.0, reach: float = 4.0) -> BlurPlan:
-    """One fixed blur."""
-    return BlurPlan(sigma, sigma, (sigma,), (cell,), ((1.0,),), reach, 1e-3)
-
-
-def blur(image: torch.Tensor, plan: BlurPlan, sigma: float = 1.0) -> torch.Tensor:
-    """Every pixel under the same width, by a plan."""
-    return constant(image, sigma, plan=plan)
-
-
-def random_pixels(size: int) -> torch.Tensor:
-    return torch.randperm(size, generator=torch.Generator().manual_seed(1))[:4000]
-
-
 @pytest.mark.parametrize("low, high", RANGES)
 def test_decibels_of_an_image_that_is_all_forward_scatter(motorcycle, low, high) -> None:
     # T_β = 0 and T_G = 1 leave nothing but the blur, by the path that form_image takes without
@@ -41,7 +24,7 @@ def test_decibels_of_an_image_that_is_all_forward_scatter(motorcycle, low, high)
     exponent = math.log(high / low) / math.log(float(z.max() / z.min()))
     law = PointSpread(low / float(z.min()) ** exponent, exponent)
     medium = Medium.from_coefficients((1e3,) * 3, (0,) * 3, (0,) * 3, b_mean=1.0, point_spread=law)
-    at = random_pixels(z.numel())
+    at = torch.randperm(z.numel(), generator=torch.Generator().manual_seed(1))[:4000]
     sigma = law.scale * z[0].numpy() ** exponent
     exact = reference.varying_gaussian(image.numpy(), sigma, at.numpy())
     for tolerance, decibel in ((0.002, 60), (0.0005, 70)):
@@ -76,20 +59,6 @@ def test_a_narrow_blur_has_the_variance_asked_for(sigma) -> None:
         assert variance == pytest.approx(sigma**2, rel=0.06, abs=0.02)
 
 
-@pytest.mark.parametrize("dtype, tolerance", [(torch.float32, 1e-6), (torch.float64, 1e-13)])
-@pytest.mark.parametrize("sigma", [1.0, 1.5, 4.1])
-@pytest.mark.parametrize("size", [(7, 5), (20, 1), (64, 93)])
-def test_a_full_resolution_blur_is_kornias(dtype, tolerance, sigma, size) -> None:
-    image = rand(2, 3, *size, dtype=dtype)
-    radius = math.ceil(4.0 * sigma)
-    kernel = kornia.filters.get_gaussian_kernel1d(2 * radius + 1, sigma, dtype=torch.float64)
-    kernel = kernel.to(dtype)
-    margins = ((0, 0), (0, 0), (radius, radius), (radius, radius))
-    padded = torch.from_numpy(np.pad(image.numpy(), margins, mode="symmetric"))
-    twin = kornia.filters.filter2d_separable(padded, kernel, kernel, padding="valid")
-    torch.testing.assert_close(blur(image, node(sigma)), twin, rtol=0, atol=tolerance)
-
-
 @pytest.mark.parametrize("size", [*SIZES, (500, 741)])
 @pytest.mark.parametrize("low, high", [*RANGES, (0.0, 3.0), (100.0, 3000.0)])
 def test_a_constant_image_stays_constant(size, low, high) -> None:
@@ -98,22 +67,17 @@ def test_a_constant_image_stays_constant(size, low, high) -> None:
     assert (result - 0.7).abs().max() < 1e-5
 
 
-@given(st.integers(1, 40), st.integers(1, 40), st.floats(0, 30), st.floats(1, 40), st.floats(-3, 3))
-def test_linear_in_the_image(height, width, low, more, factor) -> None:
-    x, y = rand(2, 1, 1, height, width)
-    sigma, plan = low + (more - 1) * rand(1, 1, height, width), plan_blur(low, low + more)
-    both = varying_blur(x + factor * y, sigma, plan)
-    parts = varying_blur(x, sigma, plan) + factor * varying_blur(y, sigma, plan)
-    torch.testing.assert_close(both, parts, rtol=0, atol=1e-11)
-
-
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("sigma", [0.0, 0.8, 2.5, 7.0, 60.0, 5000.0])
 def test_small_and_odd_sizes(size, sigma) -> None:
     image = reference.picture(*size)
     exact = reference.gaussian(image, sigma)
-    result = constant(torch.from_numpy(image)[None], sigma, tolerance=0.0005)[0]
+    x = torch.from_numpy(image)[None]
+    result = constant(x, sigma, tolerance=0.0005)[0]
     assert np.abs(result.numpy() - exact).max() < 0.004
+    if 1 < sigma < 10:  # on the image's grid
+        plan = BlurPlan(sigma, sigma, (sigma,), (1.0,), ((1.0,),), reach=8.0, error=1e-3)
+        np.testing.assert_allclose(constant(x, sigma, plan=plan)[0], exact, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("low, high", [*RANGES, (0.0, 3.0)])
@@ -132,8 +96,8 @@ def test_gradcheck(low, high) -> None:
     image = rand(2, 1, 3, 5).requires_grad_()
     sigma = (low + (high - low) * (0.1 + 0.8 * rand(2, 1, 3, 5, seed=1))).requires_grad_()
     plan = plan_blur(low, high, 0.01)
-    assert torch.autograd.gradcheck(lambda x, s: varying_blur(x, s, plan), (image, sigma))
-    assert torch.autograd.gradgradcheck(lambda x, s: varying_blur(x, s, plan), (image, sigma))
+    for check in (torch.autograd.gradcheck, torch.autograd.gradgradcheck):
+        assert check(lambda x, s: varying_blur(x, s, plan), (image, sigma))
 
 
 def test_widths_of_the_exponential_vary_too() -> None:
@@ -148,8 +112,6 @@ def test_widths_of_the_exponential_vary_too() -> None:
 
 
 IMAGE, SIGMA = torch.rand(2, 3, 6, 8), torch.rand(2, 1, 6, 8)
-
-
 WRONG = [
     (IMAGE, SIGMA * math.nan, ValueError, "sigma"),
     (IMAGE, -SIGMA, ValueError, "sigma"),
@@ -183,7 +145,7 @@ def test_products_and_adjoints_are_those_of_the_whole_matrix(cell) -> None:
     node = Node(1.4 if cell == 1 else 1.3 * cell, cell, 3.0)
     where = torch.float64, torch.device("cpu")
     for size, axis in itertools.product((1, 7, 16, 33, 130), (0, 1)):
-        for kind in ("blur",) if cell == 1 else ("shrink", "enlarge"):
+        for kind in ("blur",) if cell == 1 else ("halve", "shrink", "enlarge"):
             matrix = operator(kind, axis, size, node, *where)
             transpose = operator(kind, axis, size, node, *where, adjoint=True)
             columns = transpose.rows
@@ -203,7 +165,7 @@ def test_operators_are_made_once_and_take_no_more_than_their_budget() -> None:
     for size in range(100, 1100, 7):
         for cell in (1.0, 16 / 5, 16.0):
             node = Node(1.3 * cell, cell, 3.0)
-            for kind in ("blur",) if cell == 1 else ("shrink", "enlarge"):
+            for kind in ("blur",) if cell == 1 else ("halve", "shrink", "enlarge"):
                 arguments = (kind, 1, size, node, torch.float64, torch.device("cpu"))
                 assert operator(*arguments) is operator(*arguments)
                 most = max(most, operators.held)

@@ -9,7 +9,8 @@ from PIL import Image
 from uwaug.distance import Network, from_inverse
 from uwaug.files import propose, read_distance, read_picture
 
-PLAIN = ("--mean", "0,0,0", "--std", "1,1,1", "--short-side", "24", "--multiple", "1")
+OPTIONS = "--mean 0 0 0 --std 1 1 1 --short-side 24 --multiple 1"
+PLAIN = OPTIONS.split()
 
 
 @pytest.fixture
@@ -55,7 +56,7 @@ def test_maps_of_another_network_never_pass_for_those_of_this_one(network, tmp_p
     before = (tmp_path / "depth/a.png").read_bytes()
     (tmp_path / "depth/b.png").unlink()
     assert "1 of 3 maps written to depth, 2 were there" in run(*named, "--resume")[1]
-    exchanged = ("--std=-1,-1,-1",)  # near and far
+    exchanged = ("--std", "-1", "-1", "-1")  # near and far
     code, _, err = run(*named, *exchanged, "--resume")
     assert code == 1
     assert "depth was made with another network: choose another folder" in err

@@ -16,46 +16,37 @@ PAIRED = (uwaug.fit, fit_water)
 REFUSED = [
     (EVERY, lambda c, o, z: {"distance": torch.full_like(z, 3.0)}, "flat: all pixels lie at 3–3"),
     (EVERY, lambda c, o, z: {"distance": 1000 * z}, "distance must be in metres.*millimetres"),
-    (EVERY, lambda c, o, z: {"distance": z[:, 1:]}, "distance is .* but observed is"),
     (EVERY, lambda c, o, z: {"distance": z * torch.inf}, "7455 lie in open water"),
-    (EVERY, lambda c, o, z: {"distance": z.int()}, "distance must be a floating-point"),
     (EVERY, lambda c, o, z: {"distance": torch.stack([z] * 3), "observed": torch.stack([o] * 2)},
      "batch sizes must agree"),
     (EVERY, lambda c, o, z: {"observed": torch.full_like(o, 255)},
      "only 0 of .* pixels can be used .* 7455 are saturated"),
     (EVERY, lambda c, o, z: {"observed": 0 * o}, "7455 are black in observed"),
     (EVERY, lambda c, o, z: {"observed": o.float()}, "observed reaches [0-9]+"),
-    (EVERY, lambda c, o, z: {"observed": o / torch.nan}, "observed is NaN at"),
     (EVERY, lambda c, o, z: {"color_space": "xyz"}, "color_space must be one of srgb"),
     (PAIRED, lambda c, o, z: {"observed": c}, "clean and observed are the same picture"),
     (PAIRED, lambda c, o, z: {"clean": c.numpy()}, "clean must be a floating-point tensor"),
     (PAIRED, lambda c, o, z: {"pixels": 10}, r"pixels must be in \[500, 100000\]"),
     (PAIRED[:1], lambda c, o, z: {"model": "paper"}, "model must be one of auto, haze"),
     (PAIRED[:1], lambda c, o, z: {"fixed": {"beta": 1}}, "fixed: expected some of beta_red"),
-    (PAIRED[:1], lambda c, o, z: {"model": "haze", "fixed": {"exponent": 1}},
-     "expected some of beta_red.*got exponent"),
     (PAIRED[:1], lambda c, o, z: {"fixed": {"G_red": -1}}, r"fixed\['G_red'\] must be in"),
     (PAIRED[:1], lambda c, o, z: {"model": "gaussian", "fixed": {"beta_red": 1, "G_red": 2}},
      "leaves nothing that may be fitted"),
     (PAIRED[1:], lambda c, o, z: {"observed": torch.rand(3, 71, 105) * 1e-4, "pixels": 500},
      "above the noise"),
     (PAIRED[1:], lambda c, o, z: {"g": 1.5}, r"g must be in \[0, 1\]"),
-    (PAIRED[1:], lambda c, o, z: {"vertical_depth": -1.0}, "vertical_depth must be"),
-    (PAIRED[1:], lambda c, o, z: {"point_spread": 3}, "point_spread must be a uwaug.PointSpread"),
     (EVERY[2:], lambda c, o, z: {"observed": torch.full((3, 71, 105), 0.4)}, "one colour"),
     (EVERY[2:], lambda c, o, z: {"distance": torch.where(z < 4, 2.0, 6.0) + 1e-3 * z},
      "steps of distance hold 50 pixels, expected 3"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("door", "change", "message"),
-    [(door, change, message) for doors, change, message in REFUSED for door in doors],
-)
-def test_what_does_not_suit_is_refused(known, door, change, message):
+def test_what_does_not_suit_is_refused(known):
     inputs = dict(zip(("clean", "observed", "distance"), known, strict=True))
-    with pytest.raises((TypeError, ValueError), match=message):
-        door(**(inputs | change(*known)))
+    for doors, change, message in REFUSED:
+        for door in doors:
+            with pytest.raises((TypeError, ValueError), match=message):
+                door(**(inputs | change(*known)))
 
 
 def test_what_is_unknown_and_what_is_open_water(known):

@@ -18,12 +18,6 @@ def values(fit, kind):
     return [fit.parameters[f"{kind}_{colour}"].value for colour in COLOURS]
 
 
-def taken(known, change):
-    """The observed picture as a camera stores light (3xHxW) that is changed."""
-    light = change(srgb_to_linear(known.observed.double() / 255))
-    return known._replace(observed=as_bytes(light, noise=0.0))
-
-
 # ---- what comes back
 
 
@@ -38,15 +32,13 @@ def test_a_water_comes_back(auto):
     assert (abs(errors(auto)) < 2).mean() >= 0.75
     np.testing.assert_allclose(np.sqrt(np.diag(auto.covariance)), [*auto.errors.values()])
     assert not remark(auto, NOISE) + remark(auto, COMPOSED)
-    assert "* gaussian" in auto.summary()
 
 
-@pytest.mark.parametrize("surfaces", ["grey", "spectral"])
-def test_the_medium_makes_the_observed_picture(surfaces):
+def test_the_medium_makes_the_observed_picture():
     """A picture at 4 m of depth in 3C came back 61 grey levels off: its gain was left out."""
     clean, z = scene()
     law = uwaug.PointSpread.calibrated()
-    options = {"vertical_depth": 4.0, "g": 0.05, "surfaces": surfaces, "point_spread": law}
+    options = {"vertical_depth": 4.0, "g": 0.05, "surfaces": "spectral", "point_spread": law}
     observed = uwaug.Underwater(uwaug.Medium.from_water("3C", **options))(clean, z)
     fit = uwaug.fit(clean, observed, z, model="gaussian", pixels=1500)
     again = uwaug.Underwater(fit.medium)(clean, z)
@@ -93,11 +85,11 @@ def test_a_veil_of_its_own_rate():
 
 
 def test_several_pictures_are_of_one_water():
-    near, far = seen(medium(**HAZE), seed=1), seen(medium(**HAZE), seed=2)
-    both = torch.stack([near.observed, far.observed]), torch.stack([near.distance, far.distance])
-    fit = uwaug.fit(near.clean, *both, model="haze", pixels=2000)
+    pair = [seen(medium(**HAZE), seed=seed) for seed in (1, 2)]
+    observed, z = (torch.stack(each) for each in list(zip(*pair, strict=True))[1:])
+    fit = uwaug.fit(pair[0].clean, observed, z, model="haze", pixels=2000)
     assert abs(errors(fit, kinds=("beta", "veil"))).max() < 4
-    assert fit.rendered().shape == (2, *near.clean.shape)
+    assert fit.rendered().shape == observed.shape
 
 
 def test_what_is_known_is_not_fitted(known):
@@ -106,8 +98,8 @@ def test_what_is_known_is_not_fitted(known):
     for name, value in fixed.items():
         number = fit.parameters[name]
         assert (number.value, number.state, number.error) == (pytest.approx(value), "fixed", None)
-    assert fit.parameters["source_red"].value == pytest.approx(0.03)
-    assert fit.parameters["source_red"].state == "fixed"
+    source = fit.parameters["source_red"]
+    assert (source.value, source.state) == (pytest.approx(0.03), "fixed")
     assert abs(errors(fit, kinds=("beta",))).max() < 4
     # what has no place in a model leaves fewer candidates
     fit = uwaug.fit(*known, fixed={"exponent": 0.9}, pixels=500)
@@ -125,7 +117,6 @@ def test_a_veil_without_end_is_not_printed_as_a_number():
         assert (number.state, number.value, number.error) == ("not identified", None, None)
     assert remark(fit, "Not identified: ")
     assert remark(fit, "straight line")
-    assert "not identified" in fit.summary()
     source = fit.parameters["source_green"]
     assert source.value == pytest.approx(0.02 * 0.28, abs=4 * source.error)
 
@@ -177,18 +168,15 @@ def test_pictures_of_our_own_do_not_alarm(known):
     assert values(fit, "G") == pytest.approx(TRUTH["G"], rel=0.02)
 
 
-WRONG = {
-    "aside": lambda k: k._replace(observed=k.observed.roll((2, 2), (1, 2))),
-    "a side is darker": lambda k: taken(k, lambda x: x * torch.linspace(0.7, 1, 105)),
-    "tone": lambda k: taken(k, lambda x: x**1.2),
-}
-
-
-@pytest.mark.parametrize("wrong", WRONG)
-def test_what_is_no_noise_is_said(known, wrong):
-    fit = uwaug.fit(*WRONG[wrong](known), model="gaussian", pixels=4000)
-    assert remark(fit, NOISE)
-    assert not remark(fit, COMPOSED)
+def test_what_is_no_noise_is_said(known):
+    """Of pictures that are moved aside, and of another tone."""
+    moved = known._replace(observed=known.observed.roll((2, 2), (1, 2)))
+    light = srgb_to_linear(known.observed.double() / 255)
+    toned = known._replace(observed=as_bytes(light**1.2, noise=0.0))
+    for wrong in (moved, toned):
+        fit = uwaug.fit(*wrong, model="gaussian", pixels=4000)
+        assert remark(fit, NOISE)
+        assert not remark(fit, COMPOSED)
 
 
 def hazed(noise=0.0):
@@ -221,10 +209,7 @@ def test_a_haze_of_encoded_values_is_told(model, noise):
     assert (again.double() - pictures[1].double()).abs().mean() < 255 * noise + 1
 
 
-@pytest.mark.parametrize(
-    ("system", "is_of_values"),
-    [("ueda-2019", True), ("li-2020", True), ("akkaynak-2018", False), ("desai-2024", False)],
-)
+@pytest.mark.parametrize(("system", "is_of_values"), [("li-2020", True), ("desai-2024", False)])
 def test_published_systems_that_compose_in_encoded_values(system, is_of_values):
     clean, z = scene()
     observed = uwaug.published.picture(system, clean / 255, z, "II")
@@ -284,12 +269,3 @@ def test_a_chart_of_few_colours_at_four_distances() -> None:
     assert np.abs(errors(fit, truth, ("beta", "veil"))).max() < 4
     for kind, wanted in truth.items():
         assert values(fit, kind) == pytest.approx(wanted.tolist(), rel=0.1)
-
-
-def test_a_chart_without_noise_is_exact() -> None:
-    clean = torch.linspace(0.05, 0.75, 288).double().reshape(24, 4, 3).permute(2, 1, 0)
-    z = torch.tensor([1.0, 2.0, 4.0, 7.0]).double()[:, None].expand(1, 4, 24)
-    observed = clean * torch.exp(-0.3 * z) - 0.2 * torch.expm1(-0.3 * z)
-    fit = uwaug.fit(clean, observed, z, color_space="linear", gain="fixed")
-    assert fit.model == "haze"
-    assert fit.parameters["beta_green"].value == pytest.approx(0.3, rel=1e-6)

@@ -55,7 +55,7 @@ def test_intervals_count_what_dark_surfaces_may_reflect(floor: float) -> None:
         right = truth[kind][("red", "green", "blue").index(colour)]
         if number.low is not None and number.high is not None:
             assert number.low <= right <= number.high, name
-    assert "up to 0.05 of white" in fit.notes[0]
+    assert "within an error of 0.05 of white" in fit.notes[0]
 
 
 def test_a_scene_without_anything_dark_tells_no_growth() -> None:
@@ -65,7 +65,6 @@ def test_a_scene_without_anything_dark_tells_no_growth() -> None:
     fit = fit_veil(as_bytes(uwaug.form_image(light, z.double(), medium()).image), z)
     assert values(fit, "G") == values(fit, "source") == [None] * 3
     assert "the water is very turbid, or nothing in view is black" in fit.summary()
-    assert "Something black nearer than 2." in fit.summary()
 
 
 def test_a_straight_line_has_no_end() -> None:
@@ -73,7 +72,6 @@ def test_a_straight_line_has_no_end() -> None:
     fit = fit_veil(veiled(thin), STONES, **BLACK)
     assert values(fit, "veil") == values(fit, "G") == [None] * 3
     assert "In red, green, blue the veil still grows as a straight line at 7" in fit.summary()
-    assert "Open water in view" in fit.summary()
     assert values(fit, "source") == pytest.approx((0.04, 0.04, 0.05), rel=0.2)
     there = thin.backscatter(torch.tensor([2.0, 6.0]))
     assert (at(fit, 2.0, 6.0) - there).abs().max() < 0.02

@@ -16,14 +16,10 @@ from uwaug.optics.view import WIDE
 ALL = {"exposure": 0.5, "white_balance": 0.6, "saturation": 1.4, "gamut": 0.8, "tone": 1.3}
 STAGES: dict[str, dict[str, float]] = {
     "exposure": {"exposure": -1.3},
-    "white balance": {"white_balance": 0.7},
     "full white balance": {"white_balance": 1.0},
     "no white balance": {"white_balance": -0.4},
-    "more saturation": {"saturation": 1.7},
     "grey": {"saturation": 0.0},
     "gamut": {"gamut": 1.0},
-    "half of gamut": {"gamut": 0.5},
-    "more contrast": {"tone": 1.6},
     "less contrast": {"tone": 0.6},
     "all": ALL,
 }
@@ -34,19 +30,23 @@ MEDIA = {
     ),
 }
 CLEAR = Medium.from_coefficients(*[(1e-9,) * 3] * 3)
-WEIGHTS = torch.from_numpy(referee.LUMINANCE).reshape(3, 1, 1)
+SWITCH = pytest.mark.parametrize("switch", ["0", "1"])
 
 
-def developed(
-    medium: Medium, image: Tensor, z: Tensor, space: Any = "linear", **stages: Any
-) -> Any:
-    return Underwater(medium, color_space=space, development=Development(**stages))(image, z)
+def developed(medium: Medium, image: Tensor, z: Tensor, **stages: Any) -> Tensor:
+    development = Development(**stages)
+    return Underwater(medium, color_space="linear", development=development)(image, z)
 
 
 def coloured(height: int, width: int) -> Tensor:
     """Pictures of pure and dim colours, in double precision."""
     image = picture(height, width).double()
     return image * torch.tensor([1.3, 0.8, 0.3]).double().reshape(3, 1, 1) ** 1.5
+
+
+def luminance(light: Tensor) -> float:
+    weights = torch.from_numpy(referee.LUMINANCE).reshape(3, 1, 1)
+    return float((weights * light).sum(1).mean())
 
 
 @pytest.mark.parametrize("metered", [False, True])
@@ -61,20 +61,12 @@ def test_stages(stage: str, medium: str, metered: bool) -> None:
     scene = image[0].numpy() if metered else None
     wanted = referee.Camera(**STAGES[stage]).develop(plain, points, scene, BURNT)
     np.testing.assert_allclose(ours, wanted, rtol=0, atol=1e-10)
-    plain = developed(water, image, z, metered=metered)[0].numpy()
-    changes = stage not in ("gamut", "half of gamut", "no white balance")
-    assert bool(np.abs(ours - plain).max() > 1e-3) >= changes, "a stage that does nothing"
-
-
-def test_auto_is_0_stops_metered() -> None:
-    assert Development("auto") == Development(0.0, metered=True)
-    assert Development(exposure="auto", tone=2.0) == Development(tone=2.0, metered=True)
 
 
 # ---- exposure
 
 
-@pytest.mark.parametrize("depth", [0.0, 10.0, 20.0])
+@pytest.mark.parametrize("depth", [0.0, 20.0])
 def test_metering_keeps_the_mean_luminance(depth: float) -> None:
     medium = Medium.from_water("1C", vertical_depth=depth, g=0.05, tolerance=1e-5)
     for height, width, period in ((96, 128, 0), (16, 16, 2), (64, 64, 4), (3, 3, 0)):
@@ -82,14 +74,13 @@ def test_metering_keeps_the_mean_luminance(depth: float) -> None:
         image, z = 0.7 * rand(1, 3, height, width) ** 2, 0.5 + 3 * rand(1, 1, height, width, seed=1)
         if period:
             image[..., ::period] = 0.0
-        after = developed(medium, image, z, exposure="auto")
-        before, after = (float((WEIGHTS * x).sum(1).mean()) for x in (image, after))
-        assert after == pytest.approx(before, rel=0.04)
+        after = developed(medium, image, z, metered=True)
+        assert luminance(after) == pytest.approx(luminance(image), rel=0.04)
 
 
-@pytest.mark.parametrize("switch", ["0", "1"])
+@SWITCH
 @pytest.mark.parametrize("lit", [False, True])
-@pytest.mark.parametrize("stops", [-1.0, 0.0, 1.5, 6.0])
+@pytest.mark.parametrize("stops", [-1.0, 1.5, 6.0])
 def test_no_stops_bring_more_pixels_above_white(
     stops: float, lit: bool, switch: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -107,40 +98,27 @@ def test_no_stops_bring_more_pixels_above_white(
         assert share > 0.8 * BURNT or stops < 6, "as bright as may be"
 
 
-def test_under_lamps_no_more_pixels_burn_out() -> None:
-    image, z = rand(1, 3, 60, 80) ** 2, 0.3 + 6 * rand(1, 1, 60, 80, seed=1)
-    z[..., :20] = 30.0
-    medium = Medium.from_water("II", g=0.05)
-    light = Light((Lamp((0.3, 0.0, 0.0), 9.0),), daylight=0.0)
-    terms = form_image(image, z, medium, light=light).image
-    gain = Development("auto").gain(image, z, medium, light.curves(medium, z, WIDE))
-    after = exposed(terms, gain).amax(1)
-    assert float((after > 1).double().mean()) == pytest.approx(BURNT, rel=0.2)
-    # on a wall that is lit evenly, the mean luminance is kept
+def test_on_a_wall_that_lamps_light_evenly_the_mean_luminance_is_kept() -> None:
     image, z = 0.5 * rand(1, 3, 60, 80), torch.full((1, 1, 60, 80), 5.0).double()
     even = Light((Lamp((0.0, 0.0, -100.0), 1e4),), daylight=0.0)
-    gain = Development("auto").gain(image, z, CLEAR, even.curves(CLEAR, z, WIDE))
+    gain = Development(metered=True).gain(image, z, CLEAR, even.curves(CLEAR, z, WIDE))
     after = exposed(form_image(image, z, CLEAR, light=even).image, gain)
-    before, after = (float((WEIGHTS * x).sum(1).mean()) for x in (image, after))
-    assert after == pytest.approx(before, rel=0.02)
+    assert luminance(after) == pytest.approx(luminance(image), rel=0.02)
 
 
 def test_the_gain_is_bounded() -> None:
     image, z = picture().double(), torch.full((1, 1, 32, 40), 3.0).double()
-    bright = Medium.from_water("III", vertical_depth=10.0, mu=1.0, g=0.05)
-    development = Development("auto")
+    development = Development(metered=True)
     for depth, scene in ((300.0, image), (60.0, image), (60.0, 0 * image)):
         gain = development.gain(scene, z, Medium.from_water("1C", vertical_depth=depth))
         assert GAINS[0] <= float(gain) <= GAINS[1]
+    bright = Medium.from_water("III", vertical_depth=10.0, mu=1.0, g=0.05)
     black, almost = (
-        developed(bright, torch.full_like(image, v), z, exposure="auto").mean() for v in (0, 1e-6)
+        developed(bright, torch.full_like(image, v), z, metered=True).mean() for v in (0, 1e-6)
     )
     assert black == pytest.approx(float(almost), rel=1e-3)
-
-
-def test_bright_exposures_ask_for_no_more_blurs_than_there_are() -> None:
-    bright = Development(10.0, metered=True)
-    degrade = Underwater(MEDIA["spectral"](), (0.1, 20.0), development=bright)
+    # and no more blurs are asked for than there are
+    degrade = Underwater(MEDIA["spectral"](), development=Development(10.0, metered=True))
     assert degrade(coloured(64, 90), stepped(1, 1, 64, 90)).isfinite().all()
 
 
@@ -152,7 +130,7 @@ def test_a_planned_blur_knows_of_saturation() -> None:
     assert vivid.blur_tolerance == plain.blur_tolerance / 4
 
 
-@pytest.mark.parametrize("switch", ["0", "1"])
+@SWITCH
 @pytest.mark.parametrize("metered", [False, True])
 def test_pictures_of_a_batch_are_developed_one_by_one(
     metered: bool, switch: str, monkeypatch: pytest.MonkeyPatch
@@ -167,15 +145,12 @@ def test_pictures_of_a_batch_are_developed_one_by_one(
     for n in range(2):
         alone = developed(waters[n], images[n], z[n], **stages)
         torch.testing.assert_close(alone, together[n], rtol=0, atol=1e-6)
-        # and not with the numbers of the other
-        other = developed(waters[n], images[1 - n], z[1 - n], **stages)
-        assert (other - together[n]).abs().max() > 0.05
 
 
 # ---- white balance
 
 
-@pytest.mark.parametrize("depth", [2.0, 6.0, 15.0])
+@pytest.mark.parametrize("depth", [2.0, 15.0])
 def test_white_balance_makes_grey_and_keeps_luminance(depth: float) -> None:
     """From 8 m on the mean of red is negative: no gain brings it to the others."""
     medium = MEDIA["spectral"](vertical_depth=depth, g=0.05)
@@ -184,8 +159,7 @@ def test_white_balance_makes_grey_and_keeps_luminance(depth: float) -> None:
     plain, ours = (
         developed(medium, image, z, metered=True, white_balance=x).clamp(min=0) for x in (0.0, 1.0)
     )
-    before, after = ((WEIGHTS * light).sum(1).mean() for light in (plain, ours))
-    torch.testing.assert_close(after, before, rtol=0.05, atol=0)
+    assert luminance(ours) == pytest.approx(luminance(plain), rel=0.05)
     if depth < 4:
         means = ours.mean((0, 2, 3))
         torch.testing.assert_close(means, means.mean().expand(3), rtol=0.05, atol=0)
@@ -200,9 +174,9 @@ def test_the_gamut_is_left_underwater_and_compression_brings_it_back() -> None:
     assert developed(MEDIA["spectral"](), image, z, gamut=1.0).min() >= 0
 
 
-def test_the_gamut_compression_is_exact_inside_and_monotone() -> None:
+def test_the_gamut_compression_is_exact_inside_monotone_and_without_jumps() -> None:
     values = torch.linspace(-3, 1, 4001, dtype=torch.float64)
-    for brightest in (1e-3, 0.4, 1.0, 20.0):
+    for brightest in (1e-3, 20.0):
         colours = torch.stack([torch.ones_like(values), values, values]) * brightest
         for share in (0.3, 1.0):
             out = compressed(colours[None, :, None], share)[0, :, 0]
@@ -211,17 +185,15 @@ def test_the_gamut_compression_is_exact_inside_and_monotone() -> None:
             assert torch.equal(out[0], colours[0])
             assert (out[1].diff() > 0).all()
             assert out[1].min() >= (0 if share == 1 else -3 * brightest)
-
-
-def test_the_gamut_compression_has_no_jump_where_light_ends() -> None:
+    # where light ends
     colour = torch.tensor([0.0, -0.3, -0.7], dtype=torch.float64).reshape(1, 3, 1, 1)
     step = torch.tensor([1e-9, 0, 0]).double().reshape(1, 3, 1, 1)
-    above, at, below = (compressed(colour + x * step, 0.6) for x in (1, 0, -1))
-    torch.testing.assert_close(above, at, rtol=0, atol=1e-8)
-    torch.testing.assert_close(below, at, rtol=0, atol=1e-8)
+    for x in (1, -1):
+        ends = compressed(colour + x * step, 0.6), compressed(colour, 0.6)
+        torch.testing.assert_close(*ends, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("contrast", [0.25, 0.5, 0.9, 1.1, 2.0, 4.0])
+@pytest.mark.parametrize("contrast", [0.25, 0.9, 1.1, 4.0])
 def test_tone_is_a_curve(contrast: float) -> None:
     light = torch.linspace(-6, 6, 24_001, dtype=torch.float64)
     out = curved(light, contrast)
@@ -245,9 +217,8 @@ def test_tone_is_a_curve(contrast: float) -> None:
 @pytest.mark.parametrize("medium", MEDIA)
 def test_gradients(medium: str, metered: bool) -> None:
     image, z = coloured(5, 6).requires_grad_(), stepped(1, 1, 5, 6).requires_grad_()
-    degrade = Underwater(
-        MEDIA[medium](), color_space="linear", development=Development(metered=metered, **ALL)
-    )
+    camera = Development(metered=metered, **ALL)
+    degrade = Underwater(MEDIA[medium](), color_space="linear", development=camera)
     assert torch.autograd.gradcheck(degrade, (image, z))
 
 
@@ -255,23 +226,21 @@ DARK = Medium.from_water("3C", vertical_depth=50.0, g=0.0, mu=0.0, surfaces="spe
 
 
 @pytest.mark.parametrize(
-    "options, medium, colour, metres",
+    "options, colour, metres",
     [
-        *[
-            (STAGES[stage], MEDIA["spectral"](), colour, 0.0)
-            for stage in ("gamut", "less contrast", "all")
-            for colour in ((0, 0, 0), (1, 1, 1), (30, 0, 0), (-1, 0, -2))
-        ],
-        ({"exposure": "auto"}, DARK, (1, 1, 1), 900.0),  # light underflows
-        ({"white_balance": 0.5}, DARK, (1, 1, 1), 900.0),
+        *[(ALL, colour, 0.0) for colour in ((0, 0, 0), (1, 1, 1), (30, 0, 0), (-1, 0, -2))],
+        (STAGES["less contrast"], (0, 0, 0), 0.0),
+        ({"metered": True}, (1, 1, 1), 900.0),  # light underflows
+        ({"white_balance": 0.5}, (1, 1, 1), 900.0),
     ],
 )
 def test_slopes_of_black_and_bright_pictures_are_finite(
-    options: Any, medium: Medium, colour: tuple[float, ...], metres: float
+    options: Any, colour: tuple[float, ...], metres: float
 ) -> None:
-    development = Development(**options)
-    degrade = Underwater(medium, None, color_space="linear", development=development)
+    medium = DARK if metres else MEDIA["spectral"]()
     image = torch.tensor(colour).float().reshape(1, 3, 1, 1).repeat(1, 1, 6, 7).requires_grad_()
     z = torch.full((1, 1, 6, 7), metres, requires_grad=True)
+    development = Development(**options)
+    degrade = Underwater(medium, None, color_space="linear", development=development)
     degrade(image, z).sum().backward()
     assert all(bool(leaf.grad.isfinite().all()) for leaf in (image, z))

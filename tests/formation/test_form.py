@@ -38,17 +38,13 @@ def test_the_three_terms_from_spectra(water: str, depth: float, g: float, mu: fl
 
 
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
-@pytest.mark.parametrize("nearest", [0.0, 0.5])
-def test_parts_add_up_to_the_image(surfaces: Any, nearest: float) -> None:
+def test_parts_add_up_to_the_image(surfaces: Any) -> None:
     medium = Medium.from_water("7C", surfaces=surfaces, point_spread=PointSpread(2.0))
-    J, soft, z = rand(2, 3, 20, 30), rand(2, 3, 20, 30, seed=1), nearest + stepped(2, 1, 20, 30)
-    z[0, 0, 0, 0] = nearest
+    J, soft, z = rand(2, 3, 20, 30), rand(2, 3, 20, 30, seed=1), stepped(2, 1, 20, 30)
+    z[0, 0, 0, 0] = 0
     parts = medium.parts(z, J, soft).values()
     torch.testing.assert_close(sum(parts), medium.image(z, J, soft), rtol=0, atol=1e-14)
-    terms = form_image(J, z, medium)
-    torch.testing.assert_close(sum(terms), terms.image, rtol=0, atol=1e-14)
-    assert min(float(part.abs().max()) for part in terms) > 0.01
-    module = Underwater(medium, None, color_space="linear")
+    module, terms = Underwater(medium, None, color_space="linear"), form_image(J, z, medium)
     torch.testing.assert_close(module(J, z), terms.image, rtol=0, atol=1e-12)
 
 
@@ -61,15 +57,9 @@ def test_batches_broadcast(batch: tuple[int, int, int]) -> None:
     terms = form_image(image, z, medium)
     assert terms.image.shape == (max(batch), 3, 20, 36)
     check(terms, image, z, medium)
-
-
-def test_one_image_without_a_batch() -> None:
-    image, z, medium = rand(3, 9, 12), stepped(1, 1, 9, 12)[0], coefficients()
-    terms = form_image(image, z, medium)
-    assert terms.image.shape == (3, 9, 12)
-    assert torch.equal(form_image(image[None], z[None], medium).image[0], terms.image)
-    assert form_image(image, z, Medium.stack([medium] * 4)).image.shape == (4, 3, 9, 12)
-    assert form_image(image, z.expand(2, 1, 9, 12), medium).image.shape == (2, 3, 9, 12)
+    # without a batch
+    alone = form_image(image[0], z[0], medium).image
+    assert alone.shape == ((media,) if media > 1 else ()) + (3, 20, 36)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +90,7 @@ def test_one_pixel_of_open_water_does_not_spoil_the_others() -> None:
         torch.testing.assert_close(terms.image[0, :, 0, 0], veil, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("tolerance", [0.02, 0.002, 0.0002])
+@pytest.mark.parametrize("tolerance", [0.02, 0.0002])
 def test_every_tolerance_is_kept(tolerance: float) -> None:
     # a channel that hardly fades scatters for a kilometre, the others for metres
     beta, G, law = (0.5, 0.9, 7.0), (0.004, 0.02, 0.024), PointSpread(1.3, 1.14)

@@ -16,19 +16,14 @@ NUMBERS = ((0.6, 0.3, 0.25), (0.4, 0.1, 0.08), (0.1, 0.3, 0.4))
 MEDIA = {
     "coefficients": coefficients,
     "clear": lambda: Medium.from_coefficients((0.1, 0.0, 0.2), (0.0,) * 3, (0.0, 0.2, 0.3)),
-    "no scatter": lambda: Medium.from_coefficients(NUMBERS[0], NUMBERS[0], NUMBERS[2]),
     "batch": lambda: Medium.stack([coefficients(1), coefficients(2)]),
-    "of a water": lambda: Medium.from_water("3C").as_coefficients(),
     "of surfaces": lambda: Medium.from_water("7C", surfaces="spectral").as_coefficients(),
 }
 
 
-@pytest.fixture(params=MEDIA)
-def medium(request: pytest.FixtureRequest) -> Medium:
-    return MEDIA[request.param]()
-
-
-def test_learning_starts_at_the_medium(medium: Medium) -> None:
+@pytest.mark.parametrize("name", MEDIA)
+def test_learning_starts_at_the_medium(name: str) -> None:
+    medium = MEDIA[name]()
     begun = LearnableMedium(medium)()
     for name in ("transmission", "signal", "backscatter"):
         curves = [getattr(which, name)(Z).detach() for which in (begun, medium)]
@@ -40,18 +35,17 @@ def test_learning_starts_at_the_medium(medium: Medium) -> None:
     assert reference.psnr(learnable(image, z).detach(), fixed(image, z)) >= 54  # plans differ
 
 
-@pytest.mark.parametrize("strength", [0.3, 3.0, 30.0])
-def test_whatever_is_learned_is_a_medium(medium: Medium, strength: float) -> None:
-    learnable = LearnableMedium(medium.to(torch.float64))
-    generator = torch.Generator().manual_seed(int(strength))
+@pytest.mark.parametrize("name", MEDIA)
+@pytest.mark.parametrize("strength", [0.3, 30.0])
+def test_whatever_is_learned_is_a_medium(name: str, strength: float) -> None:
+    learnable = LearnableMedium(MEDIA[name]().to(torch.float64))
+    torch.manual_seed(int(strength))
     with torch.no_grad():
         for parameter in learnable.parameters():
-            noise = torch.randn(parameter.shape, generator=generator, dtype=torch.float64)
-            parameter += strength * noise
+            parameter += strength * torch.randn_like(parameter)
         learned = learnable()
     assert all(((t >= 0) & t.isfinite()).all() for t in learned.tensors())
     assert (learned.beta >= learned.G).all()
-    assert (learned.scale >= 0).all()
 
 
 def test_the_veil_has_a_limit_as_its_rate_falls_to_0() -> None:

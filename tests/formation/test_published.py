@@ -64,16 +64,11 @@ def assert_close(ours: Tensor, theirs: Tensor) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_attenuation_coefficients(name: str) -> None:
+def test_coefficients_and_terms(name: str) -> None:
     case = load(name)
     for curve, coefficient in ((case.medium.transmission, case.beta), (case.medium.signal, case.G)):
         kept = curve(case.distance)[0] / light(case)
         assert_close(-torch.log(kept) / case.distance, coefficient)
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_terms(name: str) -> None:
-    case = load(name)
     lit = case.image * light(case)
     if bool((case.field == 1).all()):
         terms = form_image(case.image, case.distance, case.medium)

@@ -32,30 +32,12 @@ def test_so_is_the_model_that_it_is_held_against(name: str) -> None:
     assert judged(lambda c: exact(c.to(torch.float64)), name)[0] == "right"
 
 
-def spoilt(c: Case, **changes: object) -> torch.Tensor:
-    return stability.ours(replace(c, **changes))
-
-
 def fails(c: Case) -> torch.Tensor:
     raise RuntimeError("out of luck")
 
 
-def complains(c: Case) -> torch.Tensor:
-    raise ValueError("no idea what is wrong")
-
-
-class Clipped(torch.autograd.Function):
-    """Right in value; its gradient is NaN where the input is 0."""
-
-    @staticmethod
-    def forward(ctx, x):
-        ctx.save_for_backward(x)
-        return x.clone()
-
-    @staticmethod
-    def backward(ctx, grad):
-        (x,) = ctx.saved_tensors
-        return grad * x / x
+def filled(c: Case) -> torch.Tensor:
+    return stability.ours(replace(c, distance=c.distance.nan_to_num()))
 
 
 # a method, a condition, and what is to be found of value and gradient
@@ -64,19 +46,13 @@ WRONG: list[tuple[Method, str, str, str]] = [
     (fails, "usual", "RuntimeError", "RuntimeError"),
     (lambda c: stability.ours(c)[..., 1:, :], "usual", "wrong shape", "wrong shape"),
     (lambda c: stability.ours(c).detach(), "usual", "right", "none"),
-    (lambda c: spoilt(c, scale=c.scale.detach()), "usual", "right", r"off by (0\.9.*|1)"),
-    (lambda c: spoilt(c, image=Clipped.apply(c.image)), "J = 0 and 1", "right", "NaN"),
-    (lambda c: spoilt(c, distance=c.distance.nan_to_num()), "z NaN in part", "silent", "silent"),
+    (lambda c: stability.ours(c) + 0 * c.image.sqrt(), "J = 0 and 1", "right", "NaN"),
+    (filled, "z NaN in part", "silent", "silent"),
     (lambda c: c.image * c.distance, "z NaN in part", "NaN", "NaN"),
-    (complains, "z NaN in part", "ValueError", "ValueError"),
-    (
-        lambda c: stability.ours(c) + 1e-6 * torch.rand(()),
-        "deterministic, twice",
-        "not repeatable",
-        "right",
-    ),
+    (lambda c: stability.ours(c) + 1e-6 * torch.rand(()), "deterministic, twice",
+     "not repeatable", "right"),
     (lambda c: stability.ours(c) * c.image.is_contiguous(), "channels last", "off.*", "off.*"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("method, condition, value, gradient", WRONG)
@@ -85,8 +61,7 @@ def test_the_judge_tells_wrong_from_right(
 ) -> None:
     before = torch.are_deterministic_algorithms_enabled()
     found = judged(method, condition)
-    assert re.fullmatch(value, found[0]), found
-    assert re.fullmatch(gradient, found[1]), found
+    assert re.fullmatch(f"{value}, {gradient}", ", ".join(found))
     assert torch.are_deterministic_algorithms_enabled() == before
 
 

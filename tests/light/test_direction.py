@@ -2,14 +2,24 @@
 
 import json
 import math
-from typing import Any
+from collections.abc import Callable
 
 import pytest
 import torch
 from scenes import rand
 from torch import Tensor
 
-from uwaug import Lamp, Light, Medium, RandomLight, RandomUnderwater, Underwater
+from uwaug import (
+    Development,
+    Lamp,
+    Light,
+    Medium,
+    RandomLight,
+    RandomUnderwater,
+    Sensor,
+    Underwater,
+    contrast_left,
+)
 from uwaug._support.codec import from_plain, to_plain
 from uwaug.light.direction import veil_factor
 from uwaug.optics.view import WIDE, View
@@ -39,29 +49,13 @@ def test_a_ray_sees_what_its_elevation_does(view: float) -> None:
 
 @pytest.mark.parametrize("light", [Light(pitch=0.0), Light([LAMP], daylight=0.5, pitch=0.0)])
 def test_the_veil_alone_is_multiplied(light: Light) -> None:
-    _, z = scene()
-    z = z.double().clamp(max=1e6)
-    level = Light(light.lamps, light.daylight)
+    z = scene()[1].double().clamp(max=1e6)
     day = Light((), light.daylight).curves(MEDIUM, z, WIDE).veil
-    factors = veil_factor(0.0, z, WIDE)
-    curves, before = light.curves(MEDIUM, z, WIDE), level.curves(MEDIUM, z, WIDE)
-    assert torch.equal(curves.direct, before.direct)
-    assert torch.equal(curves.scatter, before.scatter)
-    torch.testing.assert_close(curves.veil, before.veil + (factors - 1) * day)
-
-
-def test_each_picture_has_its_pitch() -> None:
-    image, z = scene()
-    water, pitches = MEDIUM.to(torch.float32), (12.0, -30.0)
-
-    def degraded(pitch: float | Tensor, rows: slice) -> Tensor:
-        light = Light(pitch=pitch)
-        return Underwater(water, light=light, distance_range=None)(image[rows], z[rows])
-
-    together = degraded(torch.tensor(pitches), slice(None))
-    for i, pitch in enumerate(pitches):
-        alone = degraded(pitch, slice(i, i + 1))
-        assert (together[i : i + 1] - alone).abs().max() < 1e-6
+    level = Light(light.lamps, light.daylight).curves(MEDIUM, z, WIDE)
+    curves = light.curves(MEDIUM, z, WIDE)
+    assert torch.equal(curves.direct, level.direct)
+    assert torch.equal(curves.scatter, level.scatter)
+    torch.testing.assert_close(curves.veil, level.veil + (veil_factor(0.0, z, WIDE) - 1) * day)
 
 
 def test_gradients_of_pitch() -> None:
@@ -82,40 +76,52 @@ def test_random_pictures_look_up_and_down() -> None:
     samples = augment.make_params(image.expand(64, -1, -1, -1))["samples"]
     pitches = [sample["light"]["pitch"] for sample in samples]
     assert min(pitches) < -30 < 30 < max(pitches)
-    for sample in samples[:4]:
-        picture = augment.transform(image, z, {"samples": [sample]})
-        level = augment.transform(image, z, {"samples": [{**sample, "light": {"pitch": 0.0}}]})
-        assert not torch.equal(picture, level)
-    params, level = {"samples": samples[:1]}, RandomLight(share=0.0, pitch=None)
-    with pytest.raises(ValueError, match=r"other options: light\.pitch"):
-        RandomUnderwater(light=level).transform(image, z, params)
-    params = RandomUnderwater(light=level).make_params(image)
-    assert params["samples"][0]["light"] == {}
+    picture = augment.transform(image, z, {"samples": samples[:1]})
+    drawn_level = {"samples": [{**samples[0], "light": {"pitch": 0.0}}]}
+    assert not torch.equal(picture, augment.transform(image, z, drawn_level))
+    # without one, as in the paper
+    level = RandomUnderwater(light=RandomLight(share=0.0, pitch=None))
+    params = level.make_params(image)
     paper = RandomUnderwater(light=None).transform(image, z, params)
-    assert torch.equal(RandomUnderwater(light=level).transform(image, z, params), paper)
+    assert torch.equal(level.transform(image, z, params), paper)
+
+
+def test_each_picture_has_its_pitch_and_noise() -> None:
+    """Of one picture, too."""
+    image, z = scene(1)
+    for water in (MEDIUM, MEDIUM.to(torch.float32)):  # by PyTorch, by the loops
+        for noise in (None, Sensor(8000, seed=3)):
+            development = Development(noise=noise)
+            both, *alone = (
+                Underwater(water, None, light=Light(pitch=pitch), development=development)(image, z)
+                for pitch in (torch.tensor([12.0, -30.0]), 12.0, -30.0)
+            )
+            assert both.shape == (2, *image.shape[1:])
+            torch.testing.assert_close(both[:1], alone[0], rtol=0, atol=2e-5)
+            if noise is None:
+                torch.testing.assert_close(both[1:], alone[1], rtol=0, atol=1e-6)
+                assert both[0, 0].mean() > both[1, 0].mean()
+    left = contrast_left(z, MEDIUM, light=Light(pitch=torch.tensor([12.0, -30.0])))
+    assert left.shape == (2, *z.shape[1:])
 
 
 def test_pitches_are_written_and_read() -> None:
     light = Light(pitch=torch.tensor([5.0, -3.0]))
     read = from_plain(json.loads(json.dumps(to_plain(light))), Light)
-    assert isinstance(read.pitch, Tensor)
-    assert torch.equal(read.pitch, torch.tensor([5.0, -3.0]))
+    torch.testing.assert_close(read.pitch, light.pitch)
 
 
-def test_pictures_and_pitches_are_as_many() -> None:
-    image, z = scene(2)
-    module = Underwater(MEDIUM, light=Light(pitch=torch.tensor([1.0, 2.0, 3.0])))
-    with pytest.raises(ValueError, match="pitch"):
-        module(image, z)
-    two = Light(pitch=torch.tensor([40.0, -40.0]))
-    for water in (MEDIUM, MEDIUM.to(torch.float32)):
-        above, below = Underwater(water, light=two, distance_range=None)(image[:1], z[:1])
-        assert above[:, 0].mean() > below[:, 0].mean()
-    with pytest.raises(ValueError, match="must be one number for all pictures"):
-        RandomUnderwater(light=two)
-
-
-@pytest.mark.parametrize("pitch", [91.0, torch.tensor([91.0]), torch.tensor([1]), "up"])
-def test_wrong_pitches_are_refused(pitch: Any) -> None:
-    with pytest.raises((TypeError, ValueError), match="pitch must be"):
-        Light(pitch=pitch)
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: Light(pitch=91.0),
+        lambda: Light(pitch=torch.tensor([91.0])),
+        lambda: Light(pitch=torch.tensor([1])),
+        lambda: Light(pitch="up"),
+        lambda: RandomUnderwater(light=Light(pitch=torch.zeros(2))),
+        lambda: Underwater(MEDIUM, light=Light(pitch=torch.zeros(3)))(*scene(2)),
+    ],
+)
+def test_wrong_pitches_are_refused(call: Callable[[], object]) -> None:
+    with pytest.raises((TypeError, ValueError), match="pitch"):
+        call()

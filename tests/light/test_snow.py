@@ -23,8 +23,6 @@ from uwaug import (
     form_image,
 )
 from uwaug._support import codec
-from uwaug.formation.image import form
-from uwaug.formation.setting import Setting
 from uwaug.optics.snow import COUNTED, SIZES, Particles
 
 BETA, G, AMBIENT = (0.5, 0.3, 0.2), (0.3, 0.2, 0.1), (0.4, 0.6, 0.8)
@@ -92,30 +90,16 @@ def test_a_particle_sends_its_radiance_times_its_area(single, place, diameter, l
     torch.testing.assert_close(added.sum((1, 2)), expected, rtol=5e-3, atol=1e-12)
 
 
-def test_its_light_is_lost_in_the_denser_water_of_a_field(single) -> None:
-    single(0.0, 0.0, 1.5, 5e-4)
-    black, metres = far().new_zeros(1, 3, *SIZE), far()
-
-    def added(density: float) -> Tensor:
-        without, with_it = (
-            form(black, density * metres, Setting(medium, color_space="linear"), metres=metres)
-            for medium in (WATER, WATER.with_snow(SNOW))
-        )
-        return (with_it - without)[0].sum((1, 2))
-
-    lost = torch.exp(-1.5 * torch.tensor(BETA).double())
-    torch.testing.assert_close(added(2.0), lost * added(1.0))
-
-
 def test_a_disc_has_its_radiance(single) -> None:
     # 50 px wide in focus, and 1.9 mm across a lens of 20 mm
-    size, focal = (400, 400), 200 / math.tan(math.radians(30))
+    focal = 200 / math.tan(math.radians(30))
+    z = far((400, 400))
     single(0.0, 0.0, 0.05, 50 / focal * 0.05)
-    sharp = layer(replace(SNOW, reflectance=1.0, focus=0.05), far(size))
+    sharp = layer(replace(SNOW, reflectance=1.0, focus=0.05), z)
     white = radiance(0.0, 0.0, 0.05, None)
     torch.testing.assert_close(sharp[:, 200, 200], white, rtol=0.06, atol=0)
     single(0.0, 0.0, 0.1, 1.9e-3)
-    blurred = layer(replace(SNOW, reflectance=1.0, aperture=0.02, focus=1e6), far(size))
+    blurred = layer(replace(SNOW, reflectance=1.0, aperture=0.02, focus=1e6), z)
     white = radiance(0.0, 0.0, 0.1, None)
     torch.testing.assert_close(blurred[:, 200, 200], white * 0.095**2, rtol=0.03, atol=0)
     # as wide as the circle of confusion: .2 of the distance along the axis
@@ -124,13 +108,13 @@ def test_a_disc_has_its_radiance(single) -> None:
 
 
 def test_the_same_particles_at_any_size() -> None:
+    pool = torch.nn.functional.avg_pool2d
     small, large = layer(SNOW, far()), layer(SNOW, far((2 * SIZE[0], 2 * SIZE[1])))
-    pooled = torch.nn.functional.avg_pool2d(large, 2)
+    pooled = pool(large, 2)
     torch.testing.assert_close(pooled.sum(), small.sum(), rtol=0.03, atol=0)
-    near = torch.nn.functional.avg_pool2d(pooled - small, 4).abs().mean()
-    assert near < 0.15 * small.mean()
+    assert pool(pooled - small, 4).abs().mean() < 0.15 * small.mean()
     other = layer(replace(SNOW, seed=6), far())
-    assert torch.nn.functional.avg_pool2d(other - small, 4).abs().mean() > 0.5 * small.mean()
+    assert pool(other - small, 4).abs().mean() > 0.5 * small.mean()
 
 
 def test_the_scene_hides_what_is_behind_it() -> None:
@@ -141,8 +125,7 @@ def test_the_scene_hides_what_is_behind_it() -> None:
     assert all_of_it[..., :64].max() > 0.01
     assert seen[..., :64].abs().max() < 1e-12
     torch.testing.assert_close(seen[..., 96:], all_of_it[..., 96:])
-    some = seen[..., 64:96].sum() / all_of_it[..., 64:96].sum()
-    assert 0.1 < some < 0.95
+    assert 0.1 < seen[..., 64:96].sum() / all_of_it[..., 64:96].sum() < 0.95
 
 
 @pytest.mark.parametrize("drift", [(0.0, 0.0, 0.0), (-2.3, 0.7, 31.1)])
@@ -183,17 +166,6 @@ def test_each_particle_keeps_its_place_in_the_water(drift) -> None:
     assert np.mean(np.abs(steps.T - drift).max(1) < 1e-9) > 0.97  # others come anew
 
 
-def test_the_water_ends_nowhere() -> None:
-    """However far a camera moves, there are as many particles, and as evenly spread."""
-    counts, edges = [], []
-    for way in np.linspace(0, 3, 13):
-        drawn = replace(SNOW, drift=(way, -2 * way, -5 * way)).particles(0.6, 0.4)
-        counts.append(len(drawn.z))
-        edges.append(np.abs(np.array([drawn.x / 0.6, drawn.y / 0.4])).mean(1))
-    assert np.ptp(counts) < 0.15 * np.mean(counts)
-    np.testing.assert_allclose(np.mean(edges, 0), [0.55, 0.575], atol=0.02)
-
-
 @pytest.mark.parametrize("view", [(0.577, 144.0), (11.4, 8.6), (0.01, 0.01)])
 def test_memory_goes_with_what_is_seen(view) -> None:
     tracemalloc.start()
@@ -208,10 +180,8 @@ def test_gradients_pass() -> None:
     image, z = rand(1, 3, *SIZE).requires_grad_(), far().requires_grad_()
     beta = torch.tensor(BETA, dtype=torch.float64, requires_grad=True)
     medium = Medium.from_coefficients(beta, G, (0.1, 0.2, 0.3)).with_snow(SNOW)
-    form_image(image, z, medium, light=LAMPS).image.sum().backward()
-    slopes = (image.grad, z.grad, beta.grad)
-    for slope in slopes:
-        assert slope is not None
+    total = form_image(image, z, medium, light=LAMPS).image.sum()
+    for slope in torch.autograd.grad(total, (image, z, beta)):
         assert bool(slope.isfinite().all())
         assert bool((slope != 0).any())
 
@@ -276,22 +246,22 @@ def test_a_seed_is_kept_and_a_film_adds_to_its_drift() -> None:
 
 
 @pytest.mark.parametrize(
-    "name, value",
+    "call, name",
     [
-        *[("density", density) for density in (0.0, (5000, 500))],
-        ("reflectance", 1.5),
-        ("focus", 0.0),
-        ("drift", 0.1),
-        *[("seed", seed) for seed in (1.5, -1, 2**32)],
+        (lambda: MarineSnow(density=0.0), "density"),
+        (lambda: MarineSnow(density=(5000, 500)), "density"),
+        (lambda: MarineSnow(reflectance=1.5), "reflectance"),
+        (lambda: MarineSnow(focus=0.0), "focus"),
+        (lambda: MarineSnow(drift=0.1), "drift"),
+        (lambda: MarineSnow(seed=1.5), "seed"),
+        (lambda: MarineSnow(seed=2**32), "seed"),
+        (lambda: WATER.with_snow(MarineSnow((500, 5000))), "density"),
+        (lambda: RandomWater(snow=2000.0), "snow must be"),
     ],
 )
-def test_what_is_refused(name, value) -> None:
-    with pytest.raises((TypeError, ValueError), match=f"{name}"):
-        MarineSnow(**{name: value})
-    with pytest.raises(ValueError, match="density"):
-        WATER.with_snow(MarineSnow((500, 5000)))
-    with pytest.raises(TypeError, match="snow must be"):
-        RandomWater(snow=2000.0)
+def test_what_is_refused(call, name) -> None:
+    with pytest.raises((TypeError, ValueError), match=name):
+        call()
 
 
 def test_without_a_seed_each_picture_of_a_batch_has_its_own() -> None:
@@ -302,11 +272,18 @@ def test_without_a_seed_each_picture_of_a_batch_has_its_own() -> None:
         assert (first - second).abs().max() > 1e-3
 
 
-def test_in_a_field_it_stands_where_it_stands_by_any_light() -> None:
-    image, z, thin = torch.zeros(1, 3, *SIZE), far().float(), torch.full((1, 1, *SIZE), 0.3)
-    snowy = WATER.with_snow(SNOW)
-    by_day, by_light = (
-        Underwater(snowy, None, color_space="linear", light=light)(image, z, thin)
-        for light in (None, Light())
+@pytest.mark.parametrize("light", [None, Light()])
+def test_in_a_field_a_particle_keeps_its_place_and_loses_light(single, light) -> None:
+    single(0.0, 0.0, 1.5, 5e-4)
+    metres = far()
+    degrade, snowy = (
+        Underwater(medium, None, color_space="linear", light=light)
+        for medium in (WATER, WATER.with_snow(SNOW))
     )
-    torch.testing.assert_close(by_day, by_light, rtol=0, atol=1e-6)
+
+    def added(density: float) -> Tensor:
+        values = metres.new_zeros(1, 3, *SIZE), metres, torch.full_like(metres, density)
+        return (snowy(*values) - degrade(*values))[0].sum((1, 2))
+
+    lost = torch.exp(-1.5 * torch.tensor(BETA).double())
+    torch.testing.assert_close(added(2.0), lost * added(1.0))

@@ -13,17 +13,7 @@ import torch
 from exporting import COARSE, FAR, NEAR, in_water, scene, without_graph
 
 import uwaug
-from uwaug import (
-    Development,
-    Light,
-    MarineSnow,
-    Medium,
-    PointSpread,
-    RandomUnderwater,
-    Underwater,
-    View,
-)
-from uwaug.light import Lamp
+from uwaug import Development, Lamp, Light, MarineSnow, Medium, PointSpread, Underwater, View
 from uwaug.onnx import (
     OnnxUnderwater,
     check_onnx,
@@ -51,7 +41,6 @@ def test_files_agree_with_float64_eager(request, name) -> None:
     report = check_onnx(path)
     assert report.cases == 18
     assert 0 < report.worst <= 2e-5 * max(1, module.development.brightening)
-    assert re.fullmatch(r"18 cases, largest difference .*, optimisations o(n|ff)\)", str(report))
     model = onnx.load(path)
     operators = {entry.domain: entry.version for entry in model.opset_import}
     assert (model.ir_version, operators[""]) == (8, 18)  # both of ONNX Runtime 1.14, of 2023
@@ -67,23 +56,18 @@ def test_inputs_are_named_and_explained(waters) -> None:
 
     graph = onnx.load(waters[0]).graph
     values = (*graph.input, *graph.output)
+    pictures = {"image": 3, "distance": 1, "output": 3}
+    weights = ["batch", 3, "scatter_rates"]
     assert {value.name: shape(value) for value in values} == {
-        "image": ["batch", 3, "height", "width"],
-        "distance": ["batch", 1, "height", "width"],
-        "beta": ["batch", "rates"],
-        "direct_weights": ["batch", 3, "rates"],
-        "G": ["batch", "scatter_rates"],
-        "signal_weights": ["batch", 3, "scatter_rates"],
-        "veil_weights": ["batch", 3, "scatter_rates"],
-        "b_mean": ["batch"],
-        "scale": ["batch"],
-        "exponent": ["batch"],
-        "output": ["batch", 3, "height", "width"],
+        **{name: ["batch", count, "height", "width"] for name, count in pictures.items()},
+        **{"beta": ["batch", "rates"], "direct_weights": ["batch", 3, "rates"]},
+        **{"G": ["batch", "scatter_rates"], "signal_weights": weights, "veil_weights": weights},
+        **{name: ["batch"] for name in ("b_mean", "scale", "exponent")},
     }
     assert all(value.doc_string for value in values)
 
 
-def test_metadata_are_the_arguments_of_the_module(frozen) -> None:
+def test_metadata_are_the_arguments_of_the_module(frozen, tmp_path) -> None:
     path, module = frozen
     metadata = read_metadata(path)
     assert metadata["uwaug_version"] == uwaug.__version__
@@ -91,21 +75,19 @@ def test_metadata_are_the_arguments_of_the_module(frozen) -> None:
     again = OnnxUnderwater(path).module
     assert repr(again) == repr(module)
     torch.testing.assert_close(again.medium.tensors(), module.medium.tensors())
-
-
-def test_a_file_is_named_by_the_state_that_its_module_has_taken(tmp_path) -> None:
+    # of one that has taken a state
     module = Underwater(Medium.from_water("II"), sides=(32, 64))
     other = Underwater(Medium.from_water("9C"), view=33.0, light=LIGHT, color_space="linear")
     module.load_state_dict(other.state_dict())
     path = without_graph(tmp_path / "a.onnx", module)
     assert read_metadata(path)["uwaug_water"].startswith("9C")
-    again = OnnxUnderwater(path).module.setting
-    assert (again.view, again.light, again.color_space) == (View(33.0), LIGHT, "linear")
+    setting = OnnxUnderwater(path).module.setting
+    assert (setting.view, setting.light, setting.color_space) == (View(33.0), LIGHT, "linear")
 
 
 # beyond the planned distances too
 @pytest.mark.filterwarnings("ignore:.* that the blur is planned for")
-@pytest.mark.parametrize("size", [(1, 1), (1, 7), (16, 17), (64, 64), (163, 217)])
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (16, 17), (163, 217)])
 def test_module_and_file_are_one_function(frozen, size) -> None:
     path, module = frozen
     image, distance = scene(1, *size)
@@ -144,24 +126,12 @@ def half_of(path: Path) -> OnnxUnderwater:
     return OnnxUnderwater(path.with_name("half.onnx"))
 
 
-def test_a_copy_in_half_precision_runs(frozen) -> None:
-    image, distance = scene(1)
-    distance[..., :5] = torch.inf
-    off = half_of(frozen[0])(image, distance) - OnnxUnderwater(frozen[0])(image, distance)
-    assert 0 < off.abs().max() < 0.005
-    assert off.square().mean().sqrt() < 0.0005
-
-
 @pytest.mark.parametrize(("coefficients", "space"), [(False, "srgb"), (True, "linear")])
 def test_a_file_with_a_lamp(tmp_path, coefficients, space) -> None:
     medium = Medium.from_water("7C", vertical_depth=10.0, point_spread=PointSpread.none())
     lit = {"light": LIGHT, "development": Development(metered=space == "srgb")}
     module = Underwater(medium, (NEAR, FAR), COARSE, space, sides=(1, 144), **lit)
-    said: list[str] = []
-    options = {"coefficients": coefficients, "progress": said.append}
-    path = export_onnx(module, tmp_path / "lamp.onnx", **options)
-    checks = [f"checking, case {i + 1} of 9" for i in range(9)]
-    assert said == ["tracing", "translating and optimising", *checks]
+    path = export_onnx(module, tmp_path / "lamp.onnx", coefficients=coefficients)
     run, (image, distance) = OnnxUnderwater(path), scene(1)
     if not coefficients:
         assert check_onnx(path).worst < 2e-4  # by its metadata alone
@@ -180,34 +150,20 @@ def test_a_file_with_a_lamp(tmp_path, coefficients, space) -> None:
         apart = run(image, distance, other, light) - exact
         assert apart.abs().max() < 2e-5 * exact.max()
     for light in (Light([lamp]), Light(pitch=3.0), Light([replace(lamp, cone=30.0)], pitch=3.0)):
-        with pytest.raises(ValueError, match="light: the file takes lamps of other power"):
+        with pytest.raises(ValueError, match=r"light: the file takes .* with other powers"):
             run(image, distance, other, light)
 
 
 def test_rows_for_another_language_are_what_a_file_takes(waters) -> None:
-    media = {name: Medium.from_water(name) for name in ("II", "9C")}
-    rows = json.loads(json.dumps(input_rows(media)))
+    medium = Medium.from_water("9C")
+    rows = json.loads(json.dumps(input_rows({"9C": medium})))
     session, (image, distance) = OnnxUnderwater(waters[0], threads=1).session.opened, scene(1)
     assert {"image", "distance", *rows["inputs"]} == {x.name for x in session.get_inputs()}
     assert "1/m" in rows["inputs"]["beta"]
-    for name, medium in media.items():
-        row = {key: np.array(value, np.float32) for key, value in rows["waters"][name].items()}
-        inputs = {"image": image.numpy(), "distance": distance.numpy(), **row}
-        result = torch.from_numpy(session.run(None, inputs)[0])
-        exact = in_water(waters[1], medium, image, distance)
-        torch.testing.assert_close(result.double(), exact, rtol=0, atol=1e-5)
-
-
-def test_openvino_gives_the_same(frozen) -> None:
-    openvino = pytest.importorskip("openvino")
-    compiled = openvino.compile_model(frozen[0], "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
-    for size in ((45, 62), (16, 128)):
-        image, distance = scene(1, *size)
-        normals = torch.randn(image.shape, generator=torch.Generator().manual_seed(0))
-        inputs = {"image": image, "distance": distance, "noise": normals}
-        theirs = compiled({name: value.numpy() for name, value in inputs.items()})[0]
-        ours = OnnxUnderwater(frozen[0], threads=1).session(inputs).numpy()
-        np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-5)
+    row = {key: np.array(value, np.float32) for key, value in rows["waters"]["9C"].items()}
+    (result,) = session.run(None, {"image": image.numpy(), "distance": distance.numpy(), **row})
+    exact = in_water(waters[1], medium, image, distance)
+    np.testing.assert_allclose(result, exact.numpy(), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 40), (23, 16), (65, 130)])
@@ -224,7 +180,7 @@ def test_blurs_of_a_graph_are_those_of_the_package(size) -> None:
         torch.testing.assert_close(Blurs(plan)(light, widths), exact, rtol=0, atol=2e-6)
 
 
-def test_a_wrong_graph_is_refused_and_leaves_nothing(tmp_path, monkeypatch, caplog) -> None:
+def test_a_wrong_graph_is_refused_and_leaves_nothing(tmp_path, monkeypatch) -> None:
     path = tmp_path / "wrong.onnx"
     path.write_text("old")
     right = Graph.forward
@@ -233,7 +189,6 @@ def test_a_wrong_graph_is_refused_and_leaves_nothing(tmp_path, monkeypatch, capl
     with pytest.raises(ValueError, match=message) as info:
         export_onnx(CLEAR, path)
     assert ".part" not in str(info.value)
-    assert f"uwaug exports {path}: half a minute" in caplog.text
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -243,28 +198,25 @@ def test_a_graph_that_returns_its_input_is_refused(tmp_path) -> None:
         check_onnx(without_graph(tmp_path / "a.onnx", CLEAR), CLEAR)
     nothing = Medium.from_coefficients((0.0,) * 3, (0.0,) * 3, (0.0,) * 3)
     module = Underwater(nothing, (1.0, 5.0))
-    with pytest.raises(ValueError, match="a graph that returns its input would pass"):
+    with pytest.raises(ValueError, match="too little to check"):
         check_onnx(without_graph(tmp_path / "b.onnx", module), module)
 
 
-@pytest.mark.parametrize(
-    ("module", "message"),
-    [
-        (RandomUnderwater(), r"module must be a uwaug\.Underwater, got RandomUnderwater"),
-        (Underwater(MEDIUM, None), r"no plan of the blur .*distance_range=.*sides="),
-        (Underwater(Medium.from_water("II"), (1.0, 5.0)), "no plan of the blur"),
-        (Underwater(Medium.stack([MEDIUM] * 2), (1.0, 5.0)), "holds 2 media: give coefficients"),
-        (Underwater(MEDIUM.with_snow(MarineSnow(seed=5)), (1.0, 5.0)), "marine snow, which no"),
-    ],
-)
-def test_what_cannot_be_exported(module, message, tmp_path) -> None:
-    with pytest.raises((TypeError, ValueError), match=message):
-        export_onnx(module, tmp_path / "a.onnx")
-    assert list(tmp_path.iterdir()) == []
+ANY = Medium.from_water("II")
+REFUSED = [
+    (uwaug.RandomUnderwater(), r"module must be a uwaug\.Underwater, got RandomUnderwater"),
+    (Underwater(MEDIUM, None), r"no plan of the blur .*distance_range=.*sides="),
+    (Underwater(ANY, (1.0, 5.0)), "no plan of the blur"),
+    (Underwater(Medium.stack([MEDIUM] * 2), (1.0, 5.0)), "holds 2 media: give coefficients"),
+    (Underwater(MEDIUM.with_snow(MarineSnow(seed=5)), (1.0, 5.0)), "marine snow, which no"),
+]
 
 
-def test_what_a_machine_lacks_is_named(tmp_path, monkeypatch) -> None:
-    with pytest.raises(FileNotFoundError, match="there is no folder"):
+def test_what_cannot_be_exported(tmp_path, monkeypatch) -> None:
+    for module, message in REFUSED:
+        with pytest.raises((TypeError, ValueError), match=message):
+            export_onnx(module, tmp_path / "a.onnx")
+    with pytest.raises(FileNotFoundError, match="No such file or directory"):
         export_onnx(CLEAR, tmp_path / "missing" / "a.onnx")
     for missing in ("onnx", "onnxscript", "onnxruntime"):
         with monkeypatch.context() as lacking:
@@ -274,3 +226,4 @@ def test_what_a_machine_lacks_is_named(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(torch, "__version__", "2.6.0")
     with pytest.raises(ImportError, match=r"needs torch ≥ 2\.13, here is 2\.6\.0"):
         export_onnx(CLEAR, tmp_path / "a.onnx")
+    assert list(tmp_path.iterdir()) == []

@@ -21,7 +21,6 @@ pytest.importorskip("onnx", minversion="1.17")
 pytest.importorskip("onnxruntime")
 
 MEDIUM = Medium.from_water("7C")
-NETWORK = {"uwaug_module": '{"setting": {"kind": "Network", "model": "stranger/a:b.onnx"}}'}
 
 
 def test_it_has_the_shapes_of_the_module(frozen) -> None:
@@ -29,16 +28,13 @@ def test_it_has_the_shapes_of_the_module(frozen) -> None:
     run = OnnxUnderwater(path)
     image, distance = scene(2)
     for i, d in (
-        (image, distance),
         (image[:1], distance),
         (image, distance[0]),
         (image[0], distance[0]),
-        (image[0], distance),
         (image[:0], distance[:0]),
         (image[..., :0], distance[..., :0]),
     ):
         assert run(i, d).shape == module(i, d).shape
-    assert str(module.medium) in repr(run)
 
 
 def test_arrays_and_other_types_are_taken(frozen) -> None:
@@ -67,10 +63,8 @@ def test_what_does_not_suit_a_file_is_refused(frozen, waters) -> None:
         (lambda: serve(image, distance, MEDIUM.with_snow(MarineSnow())), "marine snow, which no"),
         (lambda: serve(image, distance, wide), "its widths lie beyond the plan of the file"),
         (lambda: serve(image, distance, spectral), "medium must be of grey surfaces"),
-        (lambda: run((255 * image).int(), distance), "image must be a floating-point"),
         (lambda: run(255 * image, distance), "divide a 0…255 image by 255"),
         (lambda: run(image, distance[..., 1:]), r"distance is \(45, 61\) but image is \(45, 62\)"),
-        (lambda: run(image, distance * torch.nan), "distance is NaN"),
         (lambda: run(image, -distance), "negative"),
         (lambda: run(torch.cat([image, image[:1]]), distance), "batch sizes must agree or be 1"),
     ):
@@ -112,28 +106,27 @@ def test_a_forked_process_opens_its_own(frozen) -> None:
     assert work.exitcode == 0
 
 
-@pytest.mark.parametrize(
-    ("metadata", "message"),
-    [
-        ({"uwaug_module": None}, "has no metadata of"),
-        ({"uwaug_module": "[" * 100_000}, "its metadata are damaged"),
-        ({"uwaug_module": "{}"}, "its metadata are damaged"),
-        ({"uwaug_module": '{"setting": 1, "sides": [9, 3]}'}, "its metadata are damaged"),
-        (NETWORK, r"its metadata are damaged .*kind must be Setting, got 'Network'"),
-    ],
-)
-def test_other_metadata_are_refused(tmp_path, metadata, message) -> None:
-    path = without_graph(tmp_path / "a.onnx", Underwater(MEDIUM, sides=(32, 64)), **metadata)
-    for call in (OnnxUnderwater, check_onnx):
-        with pytest.raises(ValueError, match=rf"a\.onnx: {message}"):
-            call(path)
+NETWORK = '{"setting": {"kind": "Network", "model": "stranger/a:b.onnx"}}'
+DAMAGED = {
+    None: "has no metadata of",
+    "[" * 100_000: "its metadata are damaged",
+    "{}": "its metadata are damaged",
+    '{"setting": 1, "sides": [9, 3]}': "its metadata are damaged",
+    NETWORK: r"its metadata are damaged .*kind must be Setting, got 'Network'",
+}
 
 
-def test_what_is_no_model_is_refused(tmp_path) -> None:
+def test_other_files_are_refused(tmp_path) -> None:
+    path = tmp_path / "a.onnx"
+    for metadata, message in DAMAGED.items():
+        without_graph(path, Underwater(MEDIUM, sides=(32, 64)), uwaug_module=metadata)
+        for call in (OnnxUnderwater, check_onnx):
+            with pytest.raises(ValueError, match=rf"a\.onnx: {message}"):
+                call(path)
     os.mkfifo(tmp_path / "pipe.onnx")
     (tmp_path / "no.onnx").write_text("no model")
     for call in (read_metadata, OnnxUnderwater):
-        with pytest.raises(OSError, match=r"path must be a file, but .* is no regular file"):
+        with pytest.raises(OSError, match="path must be a regular file"):
             call(tmp_path / "pipe.onnx")
         with pytest.raises(ValueError, match="ONNX Runtime cannot load it"):
             call(tmp_path / "no.onnx")

@@ -6,8 +6,6 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from referees import reference
 from scenes import CURVES, Z, coastal, errors
 
@@ -20,8 +18,8 @@ ANY = np.sort(np.concatenate([np.geomspace(1e-6, 1e5, 1500), np.linspace(20, 150
 @pytest.mark.parametrize("type", JERLOV_TYPES)
 def test_curves_keep_the_tolerance(type: str) -> None:
     water = Water.jerlov(type)
-    for depth, g in itertools.product((0.0, 1.0, 10.0), (0.0, 0.02, 0.2, 1.0)):
-        for tolerance, z in ((0.01, Z), (0.002, ANY), (0.0005, Z)):
+    for depth, g in itertools.product((0.0, 10.0), (0.0, 0.02, 1.0)):
+        for tolerance, z in ((0.002, ANY), (0.0005, Z)):
             options = {"vertical_depth": depth, "g": g, "mu": 0.3, "tolerance": tolerance}
             medium = Medium.from_water(water, **options)
             worst = max(errors(medium, water, z, depth=depth, g=g, mu=0.3))
@@ -36,14 +34,14 @@ def test_curves_of_rates_that_are_spent_within_a_millimetre() -> None:
     assert max(errors(medium, water, z, depth=0.0, g=0.2, mu=0.3)) <= 0.002
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", range(8))
 def test_mixtures_of_any_turbidity_keep_the_tolerance(seed: int) -> None:
     rng = np.random.default_rng(seed)
     one, other = (Water.jerlov(type) for type in rng.choice(JERLOV_TYPES[1:], 2))
     water = one.mix(other, rng.uniform()).with_contrast(0.02, np.exp(rng.uniform(-0.5, 3)))
     tolerance = 10 ** rng.uniform(-5, -2)
-    depth = rng.choice([0.0, 3.0, 15.0])
-    options = {"g": rng.uniform(0.02, 1.0), "mu": rng.uniform(), "vertical_depth": depth}
+    options = {"g": rng.uniform(0.02, 1.0), "mu": rng.uniform()}
+    options["vertical_depth"] = rng.choice([0.0, 3.0, 15.0])
     options["camera"] = rng.choice([reference.NIKON, "Sigma SDMerill (NPL)"])
     medium = Medium.from_water(water, tolerance=tolerance, **options)
     exact = Medium.from_water(water, tolerance=0, **options)
@@ -58,19 +56,19 @@ def test_mixtures_of_any_turbidity_keep_the_tolerance(seed: int) -> None:
 @pytest.mark.parametrize("type", ["I", "3C"])
 def test_no_more_rates_than_needed(type: str) -> None:
     water, z = Water.jerlov(type), np.concatenate([Z, np.geomspace(20, 1e4, 200)])
+    numbers = {"g": 0.2, "mu": 0.3}
 
     def medium(tolerance: float) -> Medium:
-        return Medium.from_water(water, vertical_depth=0.0, g=0.2, mu=0.3, tolerance=tolerance)
+        return Medium.from_water(water, vertical_depth=0.0, tolerance=tolerance, **numbers)
 
     tried = [medium(tolerance) for tolerance in np.geomspace(0.3, 0.0004, 60)]
+    worst = [errors(m, water, z, depth=0.0, **numbers) for m in tried]
     for curves, rates in ((slice(0, 1), "beta"), (slice(1, 3), "G")):
-        worst = {
-            getattr(m, rates).shape[1]: max(errors(m, water, z, depth=0.0, g=0.2, mu=0.3)[curves])
-            for m in tried
-        }
+        counts = [getattr(m, rates).shape[1] for m in tried]
         for tolerance in (0.002, 0.0005):
             needed = getattr(medium(tolerance), rates).shape[1]
-            assert min(error for count, error in worst.items() if count < needed) > tolerance
+            fewer = [max(e[curves]) for e, n in zip(worst, counts, strict=True) if n < needed]
+            assert min(fewer) > tolerance
 
 
 def test_the_error_in_the_repr_is_the_error() -> None:
@@ -125,9 +123,6 @@ def test_gradients_of_every_tensor() -> None:
     assert torch.autograd.gradcheck(evaluate, inputs)
 
 
-# ---- the width law
-
-
 def test_width_laws() -> None:
     lengths = torch.tensor([0.0, 0.5, 2.0, 8.0], dtype=torch.float64).reshape(1, 1, 1, 4)
     for law, scale, exponent, size in (
@@ -142,15 +137,3 @@ def test_width_laws() -> None:
         assert width[..., 0] < 0.05  # px; where the law has an infinite slope it may start above 0
         expected = (scale * lengths**exponent)[..., 1:]
         torch.testing.assert_close(width[..., 1:], expected, rtol=1e-12, atol=0)
-
-
-@given(st.floats(0, 100), st.floats(0.05, 3), st.floats(0, 1e9))
-def test_width_grows_with_distance_and_is_finite(scale: float, exponent: float, z: float) -> None:
-    lengths = torch.tensor([z, 2 * z + 1e-3], dtype=torch.float64).reshape(1, 1, 1, 2)
-    lengths.requires_grad_()
-    medium = coastal(point_spread=PointSpread(scale, exponent))
-    width = medium.width(lengths / medium.b_mean)
-    width.sum().backward()
-    assert width.isfinite().all()
-    assert lengths.grad.isfinite().all()
-    assert (width.diff() >= 0).all()

@@ -220,7 +220,7 @@ def test_repr_says_what_has_changed() -> None:
 def test_repr_says_what_it_models() -> None:
     text = repr(Medium.from_water("3C"))
     numbers = ("2 + 3 rates", "g = 0.05", "μ = 0.075", "0.03·(b̄ z)^0.62 focal lengths")
-    said = ("3C", "at any distance", "exponential", *numbers)
+    said = ("3C", "curves within", "exponential", *numbers)
     assert [part for part in said if part not in text] == []
     assert "2 more" in repr(Medium.stack([coastal()] * 3))
     assert "no blur" in repr(Medium.from_coefficients(**COEFFICIENTS))
@@ -234,9 +234,9 @@ WATERS: list[tuple[Any, dict[str, Any], str]] = [
     ("II", {"vertical_depth": -1.0}, "vertical_depth.*-1"),
     ("II", {"g": 1.1}, r"g must.*\[0, 1\].*1.1"),
     ("II", {"tolerance": 1.0}, "tolerance.*1"),
-    ("II", {"camera": "Kodak"}, "no camera is called"),
+    ("II", {"camera": "Kodak"}, "camera must be one of .*Kodak"),
     ("II", {"surfaces": "matt"}, "surfaces must be one of grey, spectral"),
-    ("sea", {}, r"water must be one of I, IA.*got 'sea'"),
+    ("sea", {}, r"water must be one of I, IA.*got 'SEA'"),
     (Water([750, 800], a=[1, 1], b=[1, 1], kd=[1, 1]), {}, "no band of 400–700 nm"),
     ({"a": 1}, {}, r"water must be .* or a uwaug.Water, got \{'a': 1\}"),
     ("7C", {"g": torch.tensor(0.5)}, r"g must be a number, got a tensor; .*learnable=True"),
@@ -272,11 +272,11 @@ def test_shapes_that_disagree_and_stacks_of_nothing() -> None:
         tensors[i] = torch.rand(2, 5, 7)
         with pytest.raises(ValueError, match=r"Medium\.\w+ must have shape .* got"):
             Medium(*tensors)
-    with pytest.raises(ValueError, match="media is empty"):
+    with pytest.raises(ValueError, match="got no media"):
         Medium.stack(iter([]))
     with pytest.raises(TypeError, match=r"media must be a uwaug.Medium, got str"):
         Medium.stack("7C")
-    with pytest.raises(ValueError, match=r"one law of point spreads, got .*exponential.*gaussian"):
+    with pytest.raises(ValueError, match="one law of point spreads, got"):
         Medium.stack([coastal(), coastal(point_spread=PointSpread.calibrated())])
     with pytest.raises(IndexError, match="medium 3 of 1"):
         coastal()[3]

@@ -1,6 +1,7 @@
 """Surfaces with spectra: media of 3×3 weights against sums over 61 bands."""
 
 import pickle
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -51,13 +52,12 @@ def test_the_basis_is_that_of_colour_science() -> None:
     np.testing.assert_allclose(between, basis[:, 10:12].mean(1), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("share, camera", [(0.5, NIKON), (1.0, SIGMA), (0.5, "own matrix")])
-def test_air_changes_nothing(camera: str, share: float) -> None:
-    eye = camera_of(OWN) if camera == "own matrix" else camera
+@pytest.mark.parametrize("share, own", [(0.5, None), (1.0, OWN)])
+def test_air_changes_nothing(share: float, own: Any) -> None:
     air = torch.zeros(1, 1, 6, 7, dtype=torch.float64)
     image = torch.from_numpy(reference.picture(6, 7))[None]
     for tolerance in (0.002, 0.0):
-        medium = medium_of(camera=eye, color_matrix=share, tolerance=tolerance)
+        medium = medium_of(camera=camera_of(own), color_matrix=share, tolerance=tolerance)
         seen = form_image(image, air, medium).image
         torch.testing.assert_close(seen, image, rtol=0, atol=1e-6)  # the basis sums to 1 ± 3e-8
 
@@ -65,10 +65,9 @@ def test_air_changes_nothing(camera: str, share: float) -> None:
 @pytest.mark.parametrize("water", JERLOV_TYPES)
 def test_curves_are_those_of_the_bands(water: str) -> None:
     camera = SIGMA if water in ("II", "5C") else NIKON
-    eye = spectral.eye(camera)
-    for depth in (0.0, 10.0, 25.0):
+    for depth in (0.0, 25.0):
         bands = spectral.bands_of(Water.jerlov(water), depth=depth, **SCATTERING)
-        exact = spectral.curves(bands, Z, eye)
+        exact = spectral.curves(bands, Z, spectral.eye(camera))
         medium = medium_of(water, camera=camera, vertical_depth=depth)
         assert max(errors(medium, exact)) <= 0.002 * 1.02
         # without reduction, to rounding of the table
@@ -85,19 +84,6 @@ def test_a_share_of_the_matrix(share: float, own: Any) -> None:
     assert max(errors(medium_of("1C", tolerance=0, **options), exact)) <= 1e-8
 
 
-def test_a_red_thing_turns_grey_and_then_black() -> None:
-    paint = torch.tensor([0.5, 0.04, 0.03], dtype=torch.float64)
-    z = torch.tensor(0.5, dtype=torch.float64)
-    at_surface, deep, deeper = (
-        medium_of("II", vertical_depth=depth).signal(z)[0] @ paint for depth in (0.0, 10.0, 30.0)
-    )
-    assert at_surface[0] > 5 * at_surface[1]
-    assert deep.abs().max() < 0.03
-    assert deep[0] < 1.3 * deep[1]
-    assert deeper[0] < 0.1 * deep[0]
-    assert deeper.abs().max() < 0.01
-
-
 def test_three_numbers_serve_where_channels_do_not_mix() -> None:
     grey = Water([400, 700], a=[0.1, 0.1], b=[0.3, 0.3], kd=[0.15, 0.15])
     medium = medium_of(grey, vertical_depth=3.0)
@@ -107,38 +93,20 @@ def test_three_numbers_serve_where_channels_do_not_mix() -> None:
     assert medium_of("3C").is_spectral
 
 
-@pytest.mark.parametrize(
-    "matrix", [np.eye(2), np.ones((3, 3)), -np.eye(3), np.full((3, 3), np.nan)]
-)
-def test_matrices_that_no_camera_has(matrix: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="color_matrix must be"):
-        camera_of(matrix)
-
-
 def test_a_cameras_matrix_is_part_of_it() -> None:
     scaled = camera_of(2 * np.array(OWN))
     np.testing.assert_allclose(scaled.color_matrix, camera_of(OWN).color_matrix, rtol=1e-14)
+    assert not scaled.color_matrix.flags.writeable
     assert camera_of(OWN) != camera_of()
     rng = np.random.default_rng(0)
     for matrix in np.eye(3) + 0.1 * rng.standard_normal((20, 3, 3)):
         camera = camera_of(matrix)
         assert pickle.loads(pickle.dumps(camera)) == camera
-    with pytest.raises(ValueError, match="read-only"):
-        camera_of(OWN).color_matrix[0, 0] = 1.0
-
-
-@pytest.mark.parametrize("surfaces", ["grey", "spectral"])
-def test_waters_that_hide_a_channel_are_refused(surfaces: Any) -> None:
-    water = Water.jerlov("3C")
-    Medium.from_water(water.at(np.arange(400.0, 651.0, 25.0)), surfaces=surfaces)
-    with pytest.raises(ValueError, match="water covers 400–600 nm, 49% of what red"):
-        Medium.from_water(water.at(np.arange(400.0, 601.0, 25.0)), surfaces=surfaces)
 
 
 def test_grey_stacks_with_spectral() -> None:
     parts = [Medium.from_water("1C"), medium_of("7C"), Medium.from_water("I")]
     batch = Medium.stack(parts)
-    assert batch.direct_weights.shape[:3] == (3, 3, 3)
     image = torch.from_numpy(reference.picture(12, 15))[None]
     z = torch.linspace(0.5, 4, 180).double().reshape(1, 1, 12, 15)
     together = form_image(image, z, batch)
@@ -147,9 +115,32 @@ def test_grey_stacks_with_spectral() -> None:
         for name in ("direct", "backscatter"):
             torch.testing.assert_close(getattr(together, name)[n : n + 1], getattr(alone, name))
         torch.testing.assert_close(together.image[n : n + 1], alone.image, rtol=0, atol=0.004)
-        same = batch[n].signal(torch.tensor(2.0))[0]
-        ours = part.signal(torch.tensor(2.0))[0]
+        same, ours = (medium.signal(torch.tensor(2.0))[0] for medium in (batch[n], part))
         torch.testing.assert_close(same, ours if part.is_spectral else torch.diag(ours))
+
+
+COARSE = Water.jerlov("3C").at(np.arange(400.0, 651.0, 25.0))
+
+
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (lambda: camera_of(np.eye(2)), "color_matrix must be"),
+        (lambda: camera_of(np.ones((3, 3))), "color_matrix must be"),
+        (lambda: camera_of(-np.eye(3)), "color_matrix must be"),
+        (lambda: camera_of(np.full((3, 3), np.nan)), "color_matrix must be"),
+        (lambda: medium_of(COARSE.at(COARSE.wavelengths[:-2])), "400–600 nm, 49% of what red"),
+        (lambda: Medium.from_water(COARSE.at(COARSE.wavelengths[:-2])), "49% of what red"),
+        (
+            lambda: medium_of(camera=Camera([400, 700], [[1, 1, 1], [2, 2, 2.001]])),
+            "cannot tell three colours apart",
+        ),
+    ],
+)
+def test_what_is_refused(call: Callable[[], object], words: str) -> None:
+    medium_of(COARSE)
+    with pytest.raises(ValueError, match=words):
+        call()
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.002])
@@ -164,9 +155,3 @@ def test_a_lamp_lights_surfaces_with_spectra(tolerance: float) -> None:
     wanted = eye.matrix @ eye.sensor * water.b @ np.exp(-np.outer(water.G, Z))
     scattered = under.veil_weights[0] @ torch.exp(-under.G[0, :, None] * torch.from_numpy(Z))
     np.testing.assert_allclose(scattered.numpy(), wanted, rtol=0, atol=1e-7 + 3 * tolerance)
-
-
-def test_a_camera_whose_channels_see_the_same_is_refused() -> None:
-    same = Camera([400, 700], [[1, 1, 1], [2, 2, 2.001]])
-    with pytest.raises(ValueError, match=r"cannot tell three colours apart: .*grey"):
-        medium_of(camera=same)

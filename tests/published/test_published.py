@@ -24,29 +24,6 @@ IMAGE = SEEN.reshape(3, 12, 16)
 Z = torch.linspace(0.2, 9, 12 * 16, dtype=torch.float64).reshape(1, 12, 16).flip(2)
 
 
-def test_oldest_first_each_public_with_its_source_and_what_is_ours():
-    names = published.systems()
-    for other, own in OTHER_NAMES.items():
-        assert published.system(other.lower()) is published.system(own)
-    assert {*SPECTRAL, *CHANNELS} == set(names)
-    assert {name.replace("-", "_") for name in names} < set(published.__all__)
-    years = [int(name.rpartition("-")[2]) for name in names]
-    assert years == sorted(years)
-    for name in names:
-        function = getattr(published, name.replace("-", "_"))
-        assert function is published.system(name)
-        text = function.__doc__
-        assert re.search(r"\n        (I|D)(_c)? = ", text) or "\n        I = " in text
-        assert "Source: " in text
-        assert "Ours: " in text
-        assert re.search(r"doi:10\.|arXiv:|CVPR", text)
-
-
-def plane(depth: float, size: tuple[int, int]) -> torch.Tensor:
-    """Distances (1xHxW) of a plane that faces a camera whose view is 60° wide."""
-    return depth / torch.from_numpy(systems.rays(*size))[2:]
-
-
 def random_water() -> Water:
     a, b, more = np.random.default_rng(0).uniform(0.02, 1.0, (3, len(reference.BANDS)))
     return Water(reference.BANDS, a, b, a + more)
@@ -56,7 +33,8 @@ def random_water() -> Water:
 @pytest.mark.parametrize("name", SPECTRAL)
 def test_equations_of_spectra(name, water):
     J = IMAGE if name in LINEAR else srgb_to_linear(IMAGE)
-    z = plane(3.0, (12, 16)) if name in LAMPS else Z
+    # a plane that faces a camera whose view is 60° wide
+    z = 3.0 / torch.from_numpy(systems.rays(12, 16))[2:] if name in LAMPS else Z
     exact = SPECTRAL[name](Scene(J.numpy(), z[0].numpy()), water)
     exact = torch.from_numpy(exact).clamp(0, 1)
     ours = published.system(name)(IMAGE, z, water)
@@ -97,15 +75,12 @@ def test_the_blur_of_each_pixel_is_within_the_tolerance(shape):
     assert error < 0.002 < 0.1 * math.sqrt(((J - exact) ** 2).mean())
 
 
-def test_the_paper_is_the_packages_own_model():
-    law = PointSpread.paper()
-    medium = Medium.from_water("7C", g=0.2, mu=0.3, point_spread=law, tolerance=0)
-    theirs = Underwater(medium, (0.1, 10.0), color_space="linear")(IMAGE, Z)
-    assert (published.ismiroglou_2025(IMAGE, Z, "7C") - theirs).abs().max() < 1e-3
-
-
 def test_systems_that_are_one_equation():
     p = published
+    law = PointSpread.paper()
+    medium = Medium.from_water("7C", g=0.2, mu=0.3, point_spread=law, tolerance=0)
+    own_model = Underwater(medium, (0.1, 10.0), color_space="linear")(IMAGE, Z)
+    assert (p.ismiroglou_2025(IMAGE, Z, "7C") - own_model).abs().max() < 1e-3
     deep = p.akkaynak_2018(IMAGE, Z, "7C", vertical_depth=5.0)
     assert torch.equal(deep, p.desai_2024(IMAGE, Z, "7C"))
     assert torch.equal(deep, p.liu_2022(IMAGE, Z, "7C", light="parallel", vertical_depth=5.0))
@@ -132,9 +107,6 @@ def test_lius_artificial_light_is_summed_along_the_ray():
     torch.testing.assert_close(srgb_to_linear(ours[:, 0, 0]), exact, rtol=0, atol=1e-3)
 
 
-# ------------------------------------------------------------------- figures of the sources
-
-
 def test_what_mcglamery_asks_of_G():
     for type in JERLOV_TYPES:
         water = Water.jerlov(type).at(reference.BANDS)
@@ -158,9 +130,6 @@ def test_slurpps_rates_follow_the_sources_rule():
         np.testing.assert_allclose(SLURPP[type], beta, atol=6e-6)
 
 
-# ---------------------------------------------------------------------- pictures and draws
-
-
 @pytest.mark.parametrize("name", published.systems())
 def test_types_batches_open_water_and_gradients(name):
     image = (255 * IMAGE).round().to(torch.uint8)
@@ -170,8 +139,7 @@ def test_types_batches_open_water_and_gradients(name):
     one = published.picture(name, image, z)
     assert one.dtype == torch.uint8
     both = published.picture(name, torch.stack([image, 255 - image]).float() / 255, z)
-    assert both.shape == (2, 3, 12, 16)
-    assert both.dtype == torch.float32
+    assert (both.shape, both.dtype) == ((2, 3, 12, 16), torch.float32)
     assert (255 * both[0] - one).abs().max() <= 0.6
     half, metres = (IMAGE / 2).requires_grad_(), Z.clone().requires_grad_()
     published.picture(name, half, metres).sum().backward()
@@ -220,12 +188,12 @@ def test_what_is_refused(function, arguments, words):
 
 def test_a_system_in_a_pipeline():
     image, z = IMAGE.float(), Z.float()
-    fixed = published.augment("akkaynak-2018", water="7C", vertical_depth=3.0)
-    expected = published.akkaynak_2018(image, z, "7C", vertical_depth=3.0)
-    result, *others = fixed((image, z, 7))
+    options = {"water": "7C", "vertical_depth": 3.0}
+    expected = published.akkaynak_2018(image, z, **options)
+    result, *others = published.augment("akkaynak-2018", **options)((image, z, 7))
     assert torch.equal(result, expected)
     assert others == [z, 7]
-    named = published.augment("akkaynak-2018", keys=("rgb", "z"), water="7C", vertical_depth=3.0)
+    named = published.augment("akkaynak-2018", keys=("rgb", "z"), **options)
     assert torch.equal(named({"rgb": image, "z": z})["rgb"], expected)
     drawn = published.augment("ueda-2019")
     torch.manual_seed(1)
@@ -247,3 +215,17 @@ def test_lamps_have_a_colour(name):
     )
     torch.testing.assert_close(red[0], white[0])
     assert float(red[1:].abs().max()) < 1e-6 < float(white[1:].min())
+
+
+def test_oldest_first_each_public_with_its_equation_and_source():
+    names = published.systems()
+    assert {*SPECTRAL, *CHANNELS} == set(names)
+    years = [int(name.rpartition("-")[2]) for name in names]
+    assert years == sorted(years)
+    for name in names:
+        function = getattr(published, name.replace("-", "_"))
+        assert function is published.system(name)
+        for part in (r"\n        (I|D)(_c)? = ", "Source: ", "Ours: ", r"doi:10\.|arXiv:|CVPR"):
+            assert re.search(part, function.__doc__), (name, part)
+    for other, own in OTHER_NAMES.items():
+        assert published.system(other.lower()) is published.system(own)

@@ -249,103 +249,59 @@ def _jerlov_5c() -> tuple[Spectra, Spectra]:
     return raw, raw._replace(a=a, kd=kd)
 
 
-def _distances(usual: Case) -> dict[str, Case]:
-    z = usual.distance
+def conditions() -> dict[str, dict[str, Case]]:
+    """Every condition, by group and name."""
+    usual = _case()
+    z, zero, infinite = usual.distance, (0.0,) * 3, torch.full_like(usual.distance, math.inf)
     half = torch.arange(z.shape[-1]).expand_as(z) < z.shape[-1] // 2
+    near = torch.where(z > 3, z, 0)
+    extremes = (usual.image > 0.5).double()
+    a, b, kd, nan = (0.3, 0.1, 0.2), (0.5, 0.5, 0.6), (0.35, 0.15, 0.25), math.nan
+    two = {
+        "beta": [[0.6, 0.5, 0.7], [2.0, 1.8, 2.2]],
+        "G": [[0.2, 0.15, 0.3], [0.6, 0.5, 0.7]],
+        "veil": [[0.3, 0.4, 0.5], [0.5, 0.0, 0.4]],
+        "light": [[0.8, 0.9, 1.0], [0.2, 0.3, 0.2]],
+        "b_mean": [1.0, 1.5],
+        "scale": [0.5, 0.2],
+        "exponent": [1.0, 0.6],
+    }
 
     def where(inside: Any, **changes: Any) -> Case:
         given = torch.as_tensor(inside, dtype=z.dtype)
         return replace(usual, distance=torch.where(half, given, z), **changes)
 
-    return {
-        "usual": usual,
-        "z = 0": replace(usual, distance=0 * z),
-        "z = 0 in part": where(0.0),
-        "z = 1 µm, J = 0": replace(usual, image=0 * usual.image, distance=torch.full_like(z, 1e-6)),
-        "z = +∞": replace(usual, distance=torch.full_like(z, math.inf)),
-        "z = +∞ in part": where(math.inf),
-        "z NaN in part": where(math.nan, error="distance"),
-        "z < 0 in part": where(-z, error="distance"),
-        "one z": replace(usual, distance=torch.full_like(z, 3.0)),
-        "one far plane": where(6.0),
-        "step of 50 m": where(z + 50),
-    }
-
-
-def _waters(usual: Case) -> dict[str, Case]:
-    inf, zero, nan = torch.full_like(usual.distance, math.inf), (0.0,) * 3, math.nan
-    a, b, kd = (0.3, 0.1, 0.2), (0.5, 0.5, 0.6), (0.35, 0.15, 0.25)
-    holed, whole = Spectra((nan, *a[1:]), b, kd), Spectra(a, b, kd)
-    return {
-        "β = G = 0": _case(beta=zero, G=zero),
-        "G = 0": _case(G=zero),
-        "G = 0, z = +∞": _case(G=zero, distance=inf),
-        "a = b = 0 (B∞ = 0/0)": _spectral(Spectra(zero, zero, zero), scale=0.0),
-        "a = g = 0 (B∞ = b/0)": _spectral(Spectra(zero, b, kd, 1.0, g=0.0)),
-        "g = 1": _spectral(Spectra(a, b, kd, 1.0, g=1.0)),
-        "g = 0": _spectral(Spectra(a, b, kd, 1.0, g=0.0)),
-        "μ = 0": _spectral(Spectra(a, b, kd, 1.0, mu=0.0)),
-        "optical depth 1e4": _case(beta=(1e4, 9e3, 8e3), G=(3e3, 2e3, 1e3)),
-        "K_d·d = 500": _spectral(Spectra(a, b, (0.5,) * 3, 1000.0)),
-        "table with NaN cells": _spectral(*_jerlov_5c()),
-        "own spectra with NaN": _spectral(holed, whole, error="a has 1 NaN"),
-    }
-
-
-def _coloured(usual: Case, near: Tensor, media: dict[str, Tensor]) -> dict[str, Case]:
-    """Surfaces with spectra: of three wavelengths, a medium is one of three channels between two
-    matrices.
-    """
-    seen = [[0.7, 0.25, 0.05], [0.2, 0.7, 0.1], [0.05, 0.3, 0.65]]
-    colours = {"colours": torch.tensor(seen, dtype=torch.float64)}
-    # the reflectances of Mallett and Yuksel (2019) at `WAVELENGTHS`
-    basis = [
-        [0.94925303, 0.0412304345, 0.00951653539],
-        [0.00640057277, 0.973351116, 0.0202483114],
-        [0.0119861636, 0.0309885719, 0.957025265],
-    ]
-    reflects = {"colours": torch.tensor(basis, dtype=torch.float64)}
-    a, b, kd, z = (0.3, 0.1, 0.2), (0.5, 0.5, 0.6), (0.35, 0.15, 0.25), usual.distance
-    zero, inf = (0.0,) * 3, torch.full_like(z, math.inf)
-    open_water = torch.where(z > 3, math.inf, z)
-    return {
-        "colours": replace(usual, **colours),
-        "colours, z = 0": replace(usual, distance=0 * z, **colours),
-        "colours, z = +∞ in part": replace(usual, distance=open_water, **colours),
-        "colours, σ ∝ √z at z = 0": _case(exponent=0.5, distance=near, **colours),
-        "colours, β = G = 0": _case(beta=zero, G=zero, **colours),
-        "colours, G = 0, z = +∞": _case(G=zero, distance=inf, **colours),
-        "colours, optical depth 1e4": _case(beta=(1e4, 9e3, 8e3), G=(3e3, 2e3, 1e3), **colours),
-        "colours, J = 0 and 1": replace(usual, image=(usual.image > 0.5).double(), **colours),
-        "colours, J > 1 and < 0": replace(usual, image=30 * usual.image - 5, **colours),
-        "colours, batch of 2 media": _case(24, 24, 2, **media, **colours),
-        "colours, float16": replace(usual, dtype=torch.float16, **colours),
-        "colours, g = 1": _spectral(Spectra(a, b, kd, 1.0, g=1.0), **reflects),
-        "colours, a = g = 0": _spectral(Spectra(zero, b, kd, 1.0, g=0.0), **reflects),
-        "colours, μ = 0": _spectral(Spectra(a, b, kd, 1.0, mu=0.0), **reflects),
-        "colours, K_d·d = 500": _spectral(Spectra(a, b, (0.5,) * 3, 1000.0), **reflects),
-    }
-
-
-def conditions() -> dict[str, dict[str, Case]]:
-    """Every condition, by group and name."""
-    usual = _case()
-    z = usual.distance
-    extremes = (usual.image > 0.5).double()
-    near = torch.where(z > 3, z, 0)
-    media = {
-        "beta": torch.tensor([[0.6, 0.5, 0.7], [2.0, 1.8, 2.2]], dtype=torch.float64),
-        "G": torch.tensor([[0.2, 0.15, 0.3], [0.6, 0.5, 0.7]], dtype=torch.float64),
-        "veil": torch.tensor([[0.3, 0.4, 0.5], [0.5, 0.0, 0.4]], dtype=torch.float64),
-        "light": torch.tensor([[0.8, 0.9, 1.0], [0.2, 0.3, 0.2]], dtype=torch.float64),
-        "b_mean": torch.tensor([1.0, 1.5], dtype=torch.float64),
-        "scale": torch.tensor([0.5, 0.2], dtype=torch.float64),
-        "exponent": torch.tensor([1.0, 0.6], dtype=torch.float64),
-    }
-    return {
-        "distance": _distances(usual),
-        "water": _waters(usual),
-        "surfaces": _coloured(usual, near, media),
+    groups = {
+        "distance": {
+            "usual": usual,
+            "z = 0": replace(usual, distance=0 * z),
+            "z = 0 in part": where(0.0),
+            "z = 1 µm, J = 0": replace(usual, image=0 * usual.image, distance=0 * z + 1e-6),
+            "z = +∞": replace(usual, distance=infinite),
+            "z = +∞ in part": where(math.inf),
+            "z NaN in part": where(math.nan, error="distance"),
+            "z < 0 in part": where(-z, error="distance"),
+            "one z": replace(usual, distance=torch.full_like(z, 3.0)),
+            "one far plane": where(6.0),
+            "step of 50 m": where(z + 50),
+        },
+        "water": {
+            "β = G = 0": _case(beta=zero, G=zero),
+            "G = 0": _case(G=zero),
+            "G = 0, z = +∞": _case(G=zero, distance=infinite),
+            "a = b = 0 (B∞ = 0/0)": _spectral(Spectra(zero, zero, zero), scale=0.0),
+            "a = g = 0 (B∞ = b/0)": _spectral(Spectra(zero, b, kd, 1.0, g=0.0)),
+            "g = 1": _spectral(Spectra(a, b, kd, 1.0, g=1.0)),
+            "g = 0": _spectral(Spectra(a, b, kd, 1.0, g=0.0)),
+            "μ = 0": _spectral(Spectra(a, b, kd, 1.0, mu=0.0)),
+            "optical depth 1e4": _case(beta=(1e4, 9e3, 8e3), G=(3e3, 2e3, 1e3)),
+            "K_d·d = 500": _spectral(Spectra(a, b, (0.5,) * 3, 1000.0)),
+            "table with NaN cells": _spectral(*_jerlov_5c()),
+            "own spectra with NaN": _spectral(
+                Spectra((nan, *a[1:]), b, kd), Spectra(a, b, kd), error="a has 1 NaN"
+            ),
+        },
+        "surfaces": {},
         "width": {
             "σ = 0": _case(scale=0.0),
             "σ = .05 px": _case(scale=0.02),
@@ -361,7 +317,7 @@ def conditions() -> dict[str, dict[str, Case]]:
             "sRGB 0 and 1, z = 0": replace(usual, image=extremes, distance=near, srgb=True),
             "J > 1 and < 0": replace(usual, image=30 * usual.image - 5),
             "batch of 0": replace(usual, image=usual.image[:0], distance=z[:0], field=z[:0]),
-            "batch of 2 media": _case(24, 24, 2, **media),
+            "batch of 2 media": _case(24, 24, 2, **two),
         },
         "computing": {
             "float64": replace(usual, dtype=torch.float64),
@@ -374,3 +330,27 @@ def conditions() -> dict[str, dict[str, Case]]:
             "each gradient alone": replace(usual, alone=True),
         },
     }
+    every = {name: case for group in groups.values() for name, case in group.items()}
+    return {**groups, "surfaces": _coloured(every)}
+
+
+def _coloured(plain: dict[str, Case]) -> dict[str, Case]:
+    """Surfaces with spectra: of three wavelengths, a medium is one of three channels between two
+    matrices.
+    """
+    seen = [[0.7, 0.25, 0.05], [0.2, 0.7, 0.1], [0.05, 0.3, 0.65]]
+    # the reflectances of Mallett and Yuksel (2019) at `WAVELENGTHS`
+    basis = [
+        [0.94925303, 0.0412304345, 0.00951653539],
+        [0.00640057277, 0.973351116, 0.0202483114],
+        [0.0119861636, 0.0309885719, 0.957025265],
+    ]
+    mixed = ["z = 0", "z = +∞ in part", "σ ∝ √z at z = 0", "β = G = 0", "G = 0, z = +∞"]
+    mixed += ["optical depth 1e4", "J = 0 and 1", "J > 1 and < 0", "batch of 2 media", "float16"]
+    reflected = ["g = 1", "a = g = 0 (B∞ = b/0)", "μ = 0", "K_d·d = 500"]
+    cases = {"colours": replace(plain["usual"], colours=torch.tensor(seen, dtype=torch.float64))}
+    for names, matrix in ((mixed, seen), (reflected, basis)):
+        for name in names:
+            colours = torch.tensor(matrix, dtype=torch.float64)
+            cases[f"colours, {name.partition(' (')[0]}"] = replace(plain[name], colours=colours)
+    return cases

@@ -15,8 +15,8 @@ ABOVE = Light((Lamp((0.1, -0.5, 0.0), power=3.0, aim=(0.0, 0.2, 1.0), cone=35.0)
 EVEN = {**RandomWater.PLAIN, "waters": "II"}
 
 
-@pytest.mark.parametrize("crop", [None, (0.5, 0.5), (0.0, 0.3)], ids=str)
-@pytest.mark.parametrize("size", [(36, 16), (16, 48), (24, 24), (9, 90)], ids=str)
+@pytest.mark.parametrize("crop", [None, (0.0, 0.3)], ids=str)
+@pytest.mark.parametrize("size", [(36, 16), (9, 90)], ids=str)
 def test_lamps_leave_the_contrast_that_is_asked_for_in_any_frame(size: Any, crop: Any) -> None:
     """Of a wall, in portraits and panoramas and crops of them; and a view may name its centre."""
     view, (height, width) = View(50.0), size
@@ -56,20 +56,18 @@ def test_scenes_are_placed_where_each_grade_can_be_reached(name: str, light: Any
     z = slope(picture()) if source.reads_maps else None
     grades = [RandomUnderwater.severity(g, distance=source, light=light) for g in SEVERITIES]
     for key in range(8 if light is None else 2):
-        metres = set()
-        for aug in grades:
+        metres = []
+        for aug, asked in zip(grades, SEVERITIES.values(), strict=True):
             record = aug.make_params(picture(), aug.generator_of(5, 0, key))
             scenes = aug.scenes(picture(), z, record)
-            clarity = scenes.clarity(0)
+            clarity, light = scenes.clarity(0), scenes.scenes[0].setting.light
             assert clarity is not None
-            metres.add(clarity.metres)
-            setting = scenes.scenes[0].setting
-            if setting.light is None or not setting.light.lamps:
-                assert clarity.water.contrast(clarity.metres) == pytest.approx(
-                    SEVERITIES[grades.index(aug) + 1]
-                )
+            metres.append(scenes.metres)
+            if light is None or not light.lamps:
+                assert clarity.water.contrast(clarity.metres) == pytest.approx(asked)
             assert clarity.contents > 0
-        assert len(metres) == 1  # one scene in five waters
+        # one scene in five waters
+        assert all(torch.equal(other, metres[0]) for other in metres)
 
 
 def test_what_pure_water_does_not_leave_is_asked_for_in_the_nearest_scene() -> None:

@@ -11,16 +11,8 @@ from augmenting import flat, same
 from torch import Tensor
 
 import uwaug
-from uwaug import (
-    MarineSnow,
-    RandomLight,
-    RandomUnderwater,
-    RandomWater,
-    Sensor,
-    View,
-)
+from uwaug import MarineSnow, RandomLight, RandomUnderwater, RandomWater, Sensor, View
 from uwaug.distance import MadeUp
-from uwaug.distance.doubts import first_maps
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import RandomDevelopment, UnderwaterLike
 from uwaug.transforms.appearance import WATER_FEATURES, water_features
@@ -92,11 +84,8 @@ def test_water_is_kept_and_the_rest_is_drawn_anew() -> None:
 def test_it_is_written_and_read_as_any_other() -> None:
     image, z = pictures(1, 5)[0], maps(1)[0]
     record = json.loads(json.dumps(green().make_params(image)))
-    twins = (
-        RandomUnderwater.from_dict(json.loads(json.dumps(green().to_dict()))),
-        pickle.loads(pickle.dumps(green())),
-    )
-    for twin in twins:
+    read = RandomUnderwater.from_dict(json.loads(json.dumps(green().to_dict())))
+    for twin in (read, pickle.loads(pickle.dumps(green()))):
         assert isinstance(twin, UnderwaterLike)
         assert "nearness" not in twin.to_dict()
         assert same(twin.transform(image, z, record), green().transform(image, z, record))
@@ -109,17 +98,6 @@ def test_the_same_seed_keeps_the_same_draws() -> None:
     assert uwaug.like(GREEN, pictures(4), maps(4), seed=1, **FEW).kept != green().kept
 
 
-def test_each_of_several_photographs_is_kept_for() -> None:
-    blue = in_water("II", 0.3)
-    water = RandomWater(["II", "9C"], contrast=(0.07, 0.4))
-    options = {"augment": RandomUnderwater(water), "draws": 180, "keep": 3}
-    found = uwaug.like([GREEN, (blue * 255).byte()], list(pictures(4)), maps(4), **options)
-    assert len(found.kept) == 6
-    names = [one["water"]["waters"][0] for one in found.kept]
-    assert set(names[:3]) == {"9C"}
-    assert "II" in names[3:]
-
-
 def test_draws_spread_over_all_photographs_and_serve_each_other() -> None:
     blue, red = in_water("II", 0.3), torch.tensor([1.0, 0, 0])[:, None, None].expand(3, H, W)
     augment = RandomUnderwater(RandomWater(["II", "9C"], contrast=(0.07, 0.4)))
@@ -130,27 +108,20 @@ def test_draws_spread_over_all_photographs_and_serve_each_other() -> None:
             made.append(1)
             return augment.transform(*inputs)
 
-    counting = Counting(augment.water)
+    counting = Counting(augment.water, p=0.0)  # which looks at all the same
     with pytest.warns(UserWarning, match="nearest draws look unlike.*greener"):
         found = uwaug.like(
             iter([GREEN, blue, red, blue]), pictures(4), maps(4), augment=counting, **FEW
         )
-    nearness = found.nearness
+    nearness, names = found.nearness, [one["water"]["waters"][0] for one in found.kept]
     assert nearness is not None
-    assert len(found.kept) == 4 * FEW["keep"]
+    assert len(names) == 4 * FEW["keep"]
+    assert set(names[:3]) == {"9C"}
+    assert "II" in names[3:6]
     assert nearness.far() == [2]
     assert max(nearness.of_each[0], nearness.of_each[1]) < 0.8 * nearness.drawn
-    assert str(nearness).endswith("1 far from all that was tried")
     # the first takes FEW["draws"], each of three others the half without new ones, or less
     assert FEW["draws"] < len(made) <= FEW["draws"] * (1 + 3 * 0.3) + 3
-
-
-def test_pictures_that_are_left_alone_are_not_looked_at() -> None:
-    augment = RandomUnderwater(RandomWater("9C", contrast=(0.07, 0.4)), p=0.0)
-    found = uwaug.like(GREEN, pictures(2), maps(2), augment=augment, **FEW)
-    assert found.nearness is not None
-    assert found.nearness.kept < 1
-    assert found.p == 0.0
 
 
 @pytest.mark.filterwarnings("ignore:even the nearest")
@@ -165,74 +136,54 @@ def test_a_photograph_is_srgb_where_pictures_are_linear_light() -> None:
     assert found.nearness.drawn == pytest.approx(seen.nearness.drawn, rel=0.07)
 
 
-@pytest.mark.usefixtures("nothing_is_said")
-def test_trials_are_no_first_maps_of_a_process() -> None:
-    shares = (maps(4) - 0.95) / 6
-    uwaug.like(GREEN, pictures(4), shares, **FEW)  # silent: a warning would be an error
-    assert first_maps.looks_left == first_maps.looks
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"reference": torch.rand(1, H, W)}, "reference must have shape"),
-        ({"reference": []}, "reference: expected at least one"),
-        ({"reference": 255 * torch.rand(3, H, W)}, "reference reaches"),
-        ({"pictures": torch.zeros(3, H, W, dtype=torch.int32)}, "pictures must be a floating"),
-        ({"distance": maps(3)}, "3 maps for 2 pictures"),
-        ({"distance": None, "augment": RandomUnderwater()}, "distance is missing"),
-        ({"augment": "II"}, "augment must be a uwaug.RandomUnderwater"),
-        ({"draws": 44}, "draws must be 15 times keep"),
-        ({"keep": 0}, "keep"),
-    ],
-)
-def test_what_is_refused(options: dict[str, Any], words: str) -> None:
+def liked(**options: Any) -> Any:
     given = {"reference": GREEN, "pictures": pictures(2), "distance": maps(2), **FEW, **options}
+    return lambda: uwaug.like(**given)
+
+
+def keeping(*kept: dict[str, Any]) -> Any:
+    return lambda: UnderwaterLike("9C", kept=[{"water": each} for each in kept])
+
+
+REFUSED = [
+    (liked(reference=torch.rand(1, H, W)), "reference must have shape"),
+    (liked(reference=[]), "reference: expected at least one"),
+    (liked(reference=255 * torch.rand(3, H, W)), "reference reaches"),
+    (liked(pictures=torch.zeros(3, H, W, dtype=torch.int32)), "pictures must be a floating"),
+    (liked(distance=maps(3)), "3 maps for 2 pictures"),
+    (liked(distance=None, augment=RandomUnderwater()), "distance is missing"),
+    (liked(augment="II"), "augment must be a uwaug.RandomUnderwater"),
+    (liked(draws=44), "draws must be 15 times keep"),
+    (liked(keep=0), "keep"),
+    (keeping({"waters": ["II"]}), "params"),
+    (keeping({"g": 3.0}), "params"),
+    (keeping({"salt": 3.0}), "params"),
+    (keeping(), "at least one"),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), REFUSED)
+def test_what_is_refused(call: Any, words: str) -> None:
     with pytest.raises((TypeError, ValueError), match=words):
-        uwaug.like(**given)
+        call()
 
 
 def test_kept_draws_are_draws_of_the_transform() -> None:
     (drawn,) = UnderwaterLike("9C", kept=[{"water": {"g": 0.3}}]).make_params(GREEN)["samples"]
     assert (drawn["water"]["waters"], drawn["water"]["g"]) == (["9C"], 0.3)
-    for bad in ({"waters": ["II"]}, {"g": 3.0}, {"salt": 3.0}):
-        with pytest.raises(ValueError, match=r"params"):
-            UnderwaterLike("9C", kept=[{"water": bad}])
-    with pytest.raises(ValueError, match="at least one"):
-        UnderwaterLike("9C", kept=[])
-
-
-def test_numbers_say_what_they_are_called() -> None:
-    x = torch.full((64, 80, 3), 0.5).numpy()
-    x[..., 0] = 0.2
-    # grey and rough above, plain water below
-    x[:32, :, 1:] = torch.rand(32, 80, 1, generator=torch.Generator().manual_seed(0)).numpy() * 0.4
-    found = water_features(x)
-    assert list(found) == list(WATER_FEATURES)
-    assert found["log_RG"] < -1
-    assert found["sd_RG"] < -4
-    assert found["log_BG"] == pytest.approx(0, abs=1e-6)
-    assert found["corr_RG"] == pytest.approx(0, abs=1e-6)
-    assert 0.2 < found["dark"] < 0.27
-    assert found["veil_a"] < found["a_mean"] < 0
-    assert found["veil_L"] > found["L_mean"]
-    assert found["chroma"] > 5
 
 
 def test_kept_daylight_has_no_lamps() -> None:
-    augment = RandomUnderwater(light=RandomLight(share=1.0))
-    (sample,) = augment.make_params(pictures(1))["samples"]
+    (sample,) = RandomUnderwater(light=RandomLight(share=1.0)).make_params(pictures(1))["samples"]
     assert "rig" in sample["light"]
     assert _with_kept(sample, {"light": {"pitch": 3.0}})["light"] == {"pitch": 3.0}
 
 
 def test_small_pictures_are_seen_as_the_whole_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    angles = set()
-    transform = RandomUnderwater.transform
+    angles, transform = set(), RandomUnderwater.transform
 
     def looked(self: RandomUnderwater, image: Tensor, *rest: Any) -> Tensor:
-        width = image.shape[-1]
-        angles.add(round(self.view.focal(width) / width, 6))
+        angles.add(round(self.view.focal(image.shape[-1]) / image.shape[-1], 6))
         return transform(self, image, *rest)
 
     monkeypatch.setattr(RandomUnderwater, "transform", looked)

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 import torch
-from loading import SIZE, Crops, DegradeBatch, Epochs, Keyed, Pairs
+from loading import Crops, Keyed, Pairs
 from torch import Tensor
 from torch.utils.data import DataLoader
 
@@ -77,24 +77,3 @@ def test_keys_do_not_depend_on_workers(crops: Crops) -> None:
     dataset.epoch = 1
     later = run(loader(dataset, workers=0))
     assert not any(torch.equal(later[i], expected[i]) for i in expected)
-
-
-def test_a_sampler_brings_the_epoch_to_workers_that_persist(crops: Crops) -> None:
-    dataset = Keyed(crops, RandomUnderwater())
-    data = loader(dataset, sampler=Epochs(len(crops)), persistent_workers=True)
-    here = loader(dataset, workers=0, sampler=Epochs(len(crops)))
-    epochs = [run(data) for _ in range(3)]
-    assert all(equal(made, run(here)) for made in epochs)
-    assert not any(torch.equal(epochs[0][i], epochs[1][i]) for i in epochs[0])
-
-
-def test_whole_batches_in_collate_fn(crops: Crops) -> None:
-    torch.manual_seed(2)
-    batches = list(loader(crops, collate_fn=DegradeBatch(RandomUnderwater(p=0.7))))
-    assert all(type(batch) is list and len(batch) == 3 for batch in batches)
-    images, distances, numbers = (torch.cat(parts) for parts in zip(*batches, strict=True))
-    clean, given, _ = zip(*crops, strict=True)
-    assert torch.equal(distances, torch.stack(given))
-    assert numbers.tolist() == list(range(len(crops)))
-    assert images.shape == (len(crops), 3, SIZE, SIZE)
-    assert not torch.equal(images, torch.stack(clean))

@@ -1,26 +1,20 @@
 """Files that are written whole or not at all, and read only where they are files."""
 
 import os
-import re
 import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-_PART = re.compile(r"\.uwaug-[0-9a-f]{16}\.part")
+_PARTS = f".uwaug-{'[0-9a-f]' * 16}.part"  # that are being written, or left by killed processes
 _writing: set[str] = set()  # names of the parts that this process has begun and not ended
-
-
-def is_part(name: str) -> bool:
-    """True for the name of a file that is being written, or that a killed process has left."""
-    return _PART.fullmatch(name) is not None
 
 
 def remove_left(folder: Path) -> None:
     """Remove unfinished files from a folder, also those of other living processes."""
-    for path in folder.glob(".uwaug-*.part"):
-        if is_part(path.name) and path.name not in _writing:
+    for path in folder.glob(_PARTS):
+        if path.name not in _writing:
             with suppress(OSError):
                 path.unlink()
 
@@ -38,7 +32,8 @@ def read_text(path: Path) -> str:
 
 def require_regular(path: str | os.PathLike[str]) -> None:
     """Refuse, by an OSError, what is no regular file: to open a pipe would wait for a writer."""
-    _refuse_irregular(Path(path), os.stat(path))
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        raise OSError(f"path must be a regular file, got {path}")
 
 
 @contextmanager
@@ -46,7 +41,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Open a context with a new file beside `path`, which takes its place at the end.
 
     A symbolic link stays, and its target is replaced. A file that exists keeps its mode. After any
-    exception the new file is removed. Only a process killed at once leaves it, see `is_part`.
+    exception the new file is removed. Only a process killed at once leaves it, see `remove_left`.
 
     Raises:
         OSError: if `path` is no regular file, or it or its folder cannot be written.
@@ -55,12 +50,13 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     mode = None
     with suppress(FileNotFoundError):
-        status = os.lstat(target)
-        _refuse_irregular(target, status)
-        mode = stat.S_IMODE(status.st_mode)
-    part = _new_part(target.parent, private=mode is not None)
+        require_regular(target)
+        mode = stat.S_IMODE(target.stat().st_mode)
+    part = target.with_name(f".uwaug-{secrets.token_hex(8)}.part")
     _writing.add(part.name)
     try:
+        # what replaces a file is nobody else's to read before it has that file's mode
+        part.touch(0o666 if mode is None else 0o600, exist_ok=False)
         yield part
         if mode is not None:
             part.chmod(mode)
@@ -74,7 +70,8 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise
     finally:
         _writing.discard(part.name)
-        part.unlink(missing_ok=True)
+        with suppress(OSError):
+            part.unlink()
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -82,24 +79,3 @@ def write_whole(path: Path, content: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(path) as part:
         part.write_bytes(content)
-
-
-def _refuse_irregular(path: Path, status: os.stat_result) -> None:
-    if stat.S_ISDIR(status.st_mode):
-        raise IsADirectoryError(f"path must be a file, but {path} is a folder")
-    if not stat.S_ISREG(status.st_mode):
-        raise OSError(f"path must be a file, but {path} is no regular file")
-
-
-def _new_part(folder: Path, *, private: bool) -> Path:
-    """Make an empty file that this user alone may read if `private`, else by the umask."""
-    if not folder.is_dir():
-        raise FileNotFoundError(f"path: there is no folder {folder}")
-    part = folder / f".uwaug-{secrets.token_hex(8)}.part"
-    try:
-        # O_EXCL opens nothing that exists, above all no link
-        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600 if private else 0o666))
-    except OSError as error:
-        got = f"path: cannot write to the folder {folder}: {error.strerror}"
-        raise type(error)(got) from error
-    return part

@@ -20,7 +20,6 @@ class Cache(Generic[Value]):
         self._lock = Lock()
 
     def get(self, key: Hashable) -> Value | None:
-        """Return the value of a key, or None."""
         with self._lock:
             if key not in self._values:
                 return None
@@ -28,7 +27,6 @@ class Cache(Generic[Value]):
             return self._values[key][0]
 
     def put(self, key: Hashable, value: Value, size: int) -> None:
-        """Keep a value of `size` bytes."""
         with self._lock:
             if key in self._values:
                 self.held -= self._values.pop(key)[1]

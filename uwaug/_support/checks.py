@@ -27,23 +27,18 @@ T = TypeVar("T")
 OPEN = 1e7  # m, from which on is open water: some write 1e9; no map in mm holds so many
 _FARTHEST_MEDIAN_M = 1000.0  # of a map in metres: no water lets one see farther than 100 m
 _LINES_SAMPLED = 16  # rows and columns, about, that `too_far` looks at first
-_REQUIRES_GRAD = attrgetter("requires_grad")
-_CONVERT = (
-    ". Convert a PIL image with torchvision.transforms.v2.functional.pil_to_tensor, an array with "
-    "torch.from_numpy(…), and (H, W, 3) with .permute(2, 0, 1)"
-)
+_CONVERT = "; see torchvision's pil_to_tensor, torch.from_numpy and .permute(2, 0, 1)"
 
 
 def one_of(name: str, value: object, allowed: Iterable[str]) -> None:
-    """Refuse a value that is not among `allowed`."""
-    choices = tuple(allowed)
-    if value not in choices:
+    if value not in (choices := tuple(allowed)):
         raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
 
 
 def bounds(low: float, high: float) -> str:
-    """Describe a domain in words."""
-    return f"in [{low:g}, {high:g}]" if high < math.inf else f"finite and ≥ {low:g}"
+    if high < math.inf:
+        return f"in [{low:g}, {high:g}]"
+    return "finite" if low == -math.inf else f"finite and ≥ {low:g}"
 
 
 def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> None:
@@ -54,12 +49,10 @@ def within(name: str, value: Any, low: float = -math.inf, high: float = math.inf
     number = isinstance(value, (int, float, np.number))
     # compilers have symbols for numbers, of which isfinite knows nothing
     if not number or not (low <= value <= high and abs(value) < math.inf):
-        domain = "finite" if low == -math.inf else bounds(low, high)
-        raise ValueError(f"{name} must be {domain}, got {value!r}")
+        raise ValueError(f"{name} must be {bounds(low, high)}, got {value!r}")
 
 
 def pair(name: str, value: Any, wanted: str) -> tuple[float, float]:
-    """Return the two numbers of a range; refuse anything that is no pair of numbers."""
     try:
         low, high = map(float, value)
     except (TypeError, ValueError):
@@ -87,26 +80,22 @@ def unchecked(kind: type[T], **values: Any) -> T:
 
 
 def truth(name: str, value: object) -> None:
-    """Refuse anything but True and False, such as the word "False", which is true."""
     if not isinstance(value, bool):
         raise TypeError(f"{name} must be True or False, got {value!r:.80}")
 
 
 def positive(name: str, value: float, unit: str = "") -> None:
-    """Refuse a number that is 0, negative, infinite or NaN."""
     number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
     if not number or not 0 < value < math.inf:
         raise ValueError(f"{name} must be finite and > 0{unit and f' {unit}'}, got {value!r}")
 
 
 def tolerance(value: float) -> None:
-    """Refuse a tolerance outside (0, 1)."""
     if not isinstance(value, (int, float, np.number)) or not 0 < value < 1:
         raise ValueError(f"tolerance must lie in (0, 1) (image scale 0…1), got {value!r}")
 
 
 def instance(name: str, value: object, kind: type, hint: str = "") -> None:
-    """Refuse anything that is no object of a class of the package."""
     if not isinstance(value, kind):
         raise TypeError(f"{name} must be a uwaug.{kind.__name__}, got {type(value).__name__}{hint}")
 
@@ -117,10 +106,11 @@ def floating(name: str, value: object, hint: str = "") -> None:
 
     if not isinstance(value, torch.Tensor) or not value.is_floating_point():
         got = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
-        cure = "; scale 0…255 to 0…1 first" if got == torch.uint8 and not hint else hint
-        # NumPy's arrays and PIL's images
-        cure = _CONVERT if hasattr(value, "__array_interface__") else cure
-        raise TypeError(f"{name} must be a floating-point tensor, got {got}{cure}")
+        if hasattr(value, "__array_interface__"):  # NumPy's arrays and PIL's images
+            hint = _CONVERT
+        elif got == torch.uint8:
+            hint = hint or "; scale 0…255 to 0…1 first"
+        raise TypeError(f"{name} must be a floating-point tensor, got {got}{hint}")
 
 
 def finite(name: str, value: "Tensor") -> tuple[float, float]:
@@ -135,8 +125,7 @@ def finite(name: str, value: "Tensor") -> tuple[float, float]:
 def metres(name: str, value: "Tensor") -> None:
     """Refuse a map whose median lies beyond 1000 m, as it holds millimetres."""
     if (median := too_far(value)) is not None:
-        got = f"a map whose median is {median:.4g}"
-        raise ValueError(f"{name} must be in metres, got {got}: divide by 1000: millimetres?")
+        raise ValueError(f"{name} must be in metres, got a median of {median:.4g}: divide by 1000")
 
 
 def too_far(value: "Tensor") -> float | None:
@@ -176,34 +165,29 @@ def picture(name: str, value: "Tensor", channels: int) -> None:
         raise ValueError(f"{name} must have shape {shapes}, got {tuple(value.shape)}")
 
 
-def same_size(name: str, value: "Tensor", image: "Tensor") -> None:
-    """Refuse a map of another height or width than the image."""
+def same_size(name: str, value: "Tensor", image: "Tensor", of: str = "image") -> None:
     size, other = tuple(value.shape[-2:]), tuple(image.shape[-2:])
     if size != other:
-        raise ValueError(f"{name} is {size} but image is {other}: height and width must agree")
+        raise ValueError(f"{name} is {size} but {of} is {other}: height and width must agree")
 
 
 def same_device(name: str, value: "Tensor", image: "Tensor") -> None:
-    """Refuse a tensor on another device than the image."""
     if value.device != image.device:
         raise ValueError(f"{name} is on {value.device} but image is on {image.device}: use .to(…)")
 
 
 def batches(sizes: Mapping[str, int]) -> None:
-    """Refuse batches of different sizes; a batch of 1 serves any other."""
     if len({size for size in sizes.values() if size != 1}) > 1:
         raise ValueError(f"batch sizes must agree or be 1, got {dict(sizes)}")
 
 
 def counted(x: "Tensor", *kinds: str, of: str = "pixels") -> str:
-    """Count the values that are "NaN", "negative", "zero" or "infinite", in words."""
     masks = {"NaN": x.isnan(), "negative": x < 0, "zero": x == 0, "infinite": x.isinf()}
     *first, last = (f"{kind} at {int(masks[kind].sum())}" for kind in kinds)
     return f"{', '.join(first)} and {last} of {x.numel()} {of}"
 
 
 def full_precision(x: "Tensor") -> AbstractContextManager[object]:
-    """Open a context in which autocast does not lower the precision."""
     import torch
 
     kind = x.device.type
@@ -214,8 +198,7 @@ def full_precision(x: "Tensor") -> AbstractContextManager[object]:
 
 
 def records(*values: "Tensor") -> bool:
-    """True if one of the tensors records gradients."""
-    return any(map(_REQUIRES_GRAD, values))
+    return any(map(attrgetter("requires_grad"), values))
 
 
 def on_host(x: "Tensor") -> bool:
@@ -232,7 +215,6 @@ def extent(x: "Tensor") -> tuple[float, float]:
 
 
 def span(x: "Tensor") -> str:
-    """Describe the range of a tensor's values in words."""
     numbers = x[~x.isnan()]
     if not numbers.numel():
         return "NaN only"

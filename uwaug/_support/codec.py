@@ -22,8 +22,7 @@ def plain(kind: type[T]) -> type[T]:
     taken = _KINDS.get(kind.__name__, kind)
     # a module that is loaded anew replaces its own
     if (taken.__module__, taken.__qualname__) != (kind.__module__, kind.__qualname__):
-        owner = f"{taken.__module__}.{taken.__qualname__}"
-        raise TypeError(f"kind {kind.__name__!r} is taken by {owner}: give the class another name")
+        raise TypeError(f"kind {kind.__name__!r} is taken by {taken}: give the class another name")
     _KINDS[kind.__name__] = kind
     return kind
 

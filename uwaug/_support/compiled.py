@@ -20,12 +20,10 @@ def loops_are_loaded() -> None:
 
 
 def are_loaded() -> bool:
-    """True once the compiled loops are loaded."""
     return _loops[0]
 
 
 def wanted() -> bool:
-    """True if the environment allows compiled functions."""
     disabled = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
     return os.environ.get("UWAUG_FAST") != "0" and not disabled
 

@@ -29,7 +29,6 @@ class Uniform(NamedTuple):
         return (int.from_bytes(digest) >> 11) * 2.0**-53
 
     def of(self, noun: str) -> "Uniform":
-        """Return the same with a noun in front of all names."""
         return Uniform(self.key, f"{self.noun}{noun}.")
 
 
@@ -59,19 +58,17 @@ class Noun:
     """Options with which nothing is random."""
 
     def ranges(self) -> dict[str, Range | None]:
-        """Return the range of each number that a picture draws, by name; None where nothing is."""
+        """The range of each number that a picture draws, by name; None where nothing is drawn."""
         return {name: getattr(self, name) for name in self._domains}
 
     def require_ranges(self) -> None:
         """Refuse a range that falls or leaves its domain; turn others into tuples."""
-        self.random()  # looks at all ranges
         for noun in (self, *self._nouns.values()):
-            for name, value in [*vars(noun).items()]:
-                if name in noun._ends and (ends := ends_of(value)) is not None:
-                    object.__setattr__(noun, name, ends)
+            for name in noun._ends.keys() & vars(noun).keys():
+                if ends := ends_of(vars(noun)[name]):
+                    vars(noun)[name] = ends
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
-        """Draw the numbers of a picture, by name."""
         numbers: dict[str, Any] = {}
         for name, (low, high, domain) in self._ends.items():
             if low == high:
@@ -85,7 +82,6 @@ class Noun:
         return numbers
 
     def require(self, drawn: Drawn, name: str) -> None:
-        """Refuse numbers that this noun, called `name`, cannot have drawn."""
         require_names(drawn, {*self._ends, *self._nouns}, name)
         for inner, (*_, domain) in self._ends.items():
             checks.within(f"params: {name}.{inner}", drawn[inner], domain.least, domain.most)
@@ -93,18 +89,14 @@ class Noun:
             noun.require(drawn[inner], f"{name}.{inner}")
 
     def require_fixed(self, name: str) -> None:
-        """Refuse ranges, and numbers outside of their domain."""
         for inner, (least, most, _) in self._domains.items():
             value = getattr(self, inner)
             if not hasattr(value, "detach"):
                 checks.within(f"{name}: {inner}", value, least, most)
 
     def random(self) -> list[str]:
-        """List the names of the numbers that differ from picture to picture."""
-        names = [name for name, (low, high, _) in self._ends.items() if low < high]
-        return names + [
-            f"{n}.{inner}" for n, noun in self._nouns.items() for inner in noun.random()
-        ]
+        inner = [f"{name}.{n}" for name, noun in self._nouns.items() for n in noun.random()]
+        return [name for name, (low, high, _) in self._ends.items() if low < high] + inner
 
     def __repr__(self) -> str:
         options = [f"{field.name}={getattr(self, field.name)!r}" for field in changed(self)]
@@ -116,7 +108,6 @@ class Noun:
 
     @cached_property
     def _ends(self) -> dict[str, tuple[float, float, Domain]]:
-        """Low end, high end and domain of each number; refuses a range that leaves its domain."""
         ends = {}
         for name, value in self.ranges().items():
             if value is not None:
@@ -146,10 +137,9 @@ class Seeded(Noun):
         super().require({key: value for key, value in drawn.items() if key != "seed"}, name)
 
     def random(self) -> list[str]:
-        return [*super().random(), *(["seed"] if self.seed is None else [])]
+        return super().random() + ["seed"] * (self.seed is None)
 
     def of(self, drawn: Drawn) -> Self:
-        """Return the same noun with a picture's numbers in place of its ranges."""
         return replace(self, **drawn)  # type: ignore[type-var]
 
 
@@ -160,12 +150,10 @@ class Fixed(Noun):
     value: Any
 
     def of(self, drawn: Drawn, seen: Any) -> Any:
-        """Return the value."""
         return self.value
 
 
 def require_names(drawn: Any, names: set[str], noun: str) -> None:
-    """Refuse numbers with other names than those of a noun."""
     if not isinstance(drawn, Mapping):
         raise TypeError(f"params: {noun} must be a table, got {drawn!r:.80}")
     if unmatched := drawn.keys() ^ names:
@@ -174,6 +162,5 @@ def require_names(drawn: Any, names: set[str], noun: str) -> None:
 
 
 def require_seed(name: str, seed: Any) -> None:
-    """Refuse a seed that is no whole number from 0 to below `SEEDS`."""
     if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < SEEDS:
         raise ValueError(f"{name} must be a whole number from 0 to {SEEDS - 1}, got {seed!r:.80}")

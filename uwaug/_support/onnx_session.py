@@ -1,7 +1,7 @@
 """A session of ONNX Runtime for the processes of a DataLoader."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +21,9 @@ class Session:
     """
 
     def __init__(
-        self,
-        path: str | os.PathLike[str],
-        threads: int | None = 0,
-        *,
-        optimise: bool = True,
-        providers: Sequence[str] = ("CPUExecutionProvider",),
+        self, path: str | os.PathLike[str], threads: int | None = 0, *, optimise: bool = True
     ) -> None:
-        self.path = Path(path)
-        self.threads = threads
-        self.optimise = optimise
-        self.providers = tuple(providers)
+        self.path, self.threads, self.optimise = Path(path), threads, optimise
         self._opened: Any = None
         self._process = os.getpid()
 
@@ -51,20 +43,18 @@ class Session:
     def _open(self) -> Any:
         (ort,) = require("onnx", "onnxruntime")
         require_regular(self.path)
-        self.path.open("rb").close()  # for Python's own error if it may not be read
         options = ort.SessionOptions()
         options.log_severity_level = 3
-        threads = torch.get_num_threads() if self.threads is None else self.threads
-        options.intra_op_num_threads = threads
+        threads = self.threads
+        options.intra_op_num_threads = torch.get_num_threads() if threads is None else threads
         # threads that spin while they wait halve the speed of whatever runs beside them: two on two
         # cores then take 8 ms for our file of 256² instead of 5
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         if not self.optimise:
             options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         try:
-            return ort.InferenceSession(str(self.path), options, providers=list(self.providers))
-        # its exceptions have no common base, and no place in the public interface
-        except Exception as error:
+            return ort.InferenceSession(str(self.path), options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # its exceptions have no common base
             reason = str(error).splitlines()[0]
             raise ValueError(f"{self.path}: ONNX Runtime cannot load it: {reason}") from error
 

@@ -79,9 +79,6 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
     `pipeline.set_random_seed(torch.initial_seed())` in a `worker_init_fn`. `A.ReplayCompose` keeps
     the draw under "record" in its "replay", but no map.
 
-    Raises:
-        TypeError, ValueError: if an option, a picture or a map does not suit, or a map is missing.
-
     Examples:
         >>> import albumentations as A, numpy as np, uwaug
         >>> water = AlbumentationsUnderwater(uwaug.RandomUnderwater(["II", "7C"]), p=1.0)
@@ -127,34 +124,36 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         # maps as parameters would be kept for replays, which may be of other pictures
         result = dict(kwargs)
         for name, pictures in kwargs.items():
-            if name in self._key2func and pictures is not None:
-                image, distance = np.asarray(pictures), None
-                single = self._key2func[name] == self.apply
-                if image.ndim == (2 if single else 3):
-                    image = image[..., None]
-                if image.shape[-1] == 1:
-                    image = image.repeat(3, -1)
-                if self.augment.distance.reads_maps:
-                    distance = self._distance(name, single, kwargs)
-                result[name], scenes = self._degraded(image, record, distance)
-                boxes = kwargs.get("bboxes")
-                if name == "image" and self.min_contrast is not None and boxes is not None:
-                    if not self._in_pipeline:
-                        raise ValueError("bboxes are of A.Compose(…, bbox_params=…) alone")
-                    corners = boxes[:, :4] * (2 * image.shape[1::-1])  # from shares
-                    contrast = means_over(corners.tolist(), scenes.contrast_map()[0]).numpy()
-                    result["bboxes"] = boxes[contrast >= self.min_contrast]
+            if name not in self._key2func or pictures is None:
+                continue
+            image, distance = np.asarray(pictures), None
+            single = self._key2func[name] == self.apply
+            if image.ndim == (2 if single else 3):
+                image = image[..., None]
+            if image.shape[-1] == 1:
+                image = image.repeat(3, -1)
+            if self.augment.distance.reads_maps:
+                distance = self._distance(name, single, kwargs)
+            result[name], scenes = self._degraded(image, record, distance)
+            boxes = kwargs.get("bboxes")
+            if name == "image" and self.min_contrast is not None and boxes is not None:
+                if not self._in_pipeline:
+                    raise ValueError("bboxes are of A.Compose(…, bbox_params=…) alone")
+                corners = boxes[:, :4] * (2 * image.shape[1::-1])  # from shares
+                contrast = means_over(corners.tolist(), scenes.contrast_map()[0]).numpy()
+                result["bboxes"] = boxes[contrast >= self.min_contrast]
         return result
 
     def _distance(self, name: str, single: bool, targets: Mapping[str, Any]) -> Tensor:
         key = self.distance_key
         key = name.replace("image", key, 1) if "image" in name else f"{key}_{name}"
-        source, kind = ("MadeUp()", "mask") if single else ("(1, 5)", "masks")
         if targets.get(key) is None:
-            cure = f"pass a map, or say RandomUnderwater(distance={source})"
+            cure = "pass a map, or say RandomUnderwater(distance=MadeUp())"
             raise ValueError(f"{key} is missing, for {name}: {cure}")
         if self._in_pipeline and key not in self._moved:
-            cure = f"A.Compose(…, additional_targets={{{key!r}: {kind!r}}})"
+            cure = (
+                f"A.Compose(…, additional_targets={{{key!r}: {'mask' if single else 'masks'!r}}})"
+            )
             raise ValueError(f"{key} would not move with {name}: {cure}")
         values = np.squeeze(targets[key]) * self.scale
         return torch.from_numpy(values.astype(np.float32)).unsqueeze(-3)

@@ -63,5 +63,4 @@ class UnderwaterPhysics(Physics):  # type: ignore[misc]
 
     def A_dagger(self, y: Tensor, x_init: Tensor | None = None) -> Tensor:
         """Scene that looks like y under water, by gradient descent; see `Physics`."""
-        scene: Tensor = super().A_dagger(y, y if x_init is None else x_init)
-        return scene
+        return super().A_dagger(y, y if x_init is None else x_init)  # type: ignore[no-any-return]

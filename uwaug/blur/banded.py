@@ -1,7 +1,8 @@
 """Banded matrices that blur, shrink and enlarge one axis of an image, applied block by block.
 
 A Gaussian blur with half-sample symmetric edges is a banded matrix per axis; so are "blur, then
-keep every m-th sample" and spline interpolation back. The adjoint is the transpose.
+keep every m-th sample" and spline interpolation back. The adjoint is the transpose. Blurs on grids
+of 2 px and more read the half picture, which is blurred a little and keeps every second sample.
 
 Each matrix is cut into row blocks that hold only the columns in use. Blocks that repeat are one
 batched matrix product on overlapping windows. For 3×256² and σ = 4 px one thread takes 0.28 ms,
@@ -21,21 +22,23 @@ from torch import Tensor
 from uwaug._support.cache import Cache
 from uwaug._support.types import Array
 from uwaug.blur.kernels import (
+    HALVING,
     MARGIN,
     PERIOD,
     blur_kernel,
     enlarge_kernels,
     per_cell,
+    rest_of,
     shrink_kernels,
 )
 
 Index = NDArray[np.int64]
 
 
-def mirrored(index: Index, size: int) -> Index:
-    """Fold indices into [0, size), half-sample symmetric."""
-    index = index % (2 * size)
-    return np.minimum(index, 2 * size - 1 - index)
+def mirrored(index: Index, turn: int) -> Index:
+    """Fold indices at the edges of an axis, see `uwaug.blur.kernels.reflect`."""
+    index = index % turn
+    return np.minimum(index, turn - 1 - index)
 
 
 class Run(NamedTuple):
@@ -70,7 +73,6 @@ class Kernels(NamedTuple):
     weights: Array  # (p, taps) weights of the columns from there on
     step: int  # columns from one period to the next
     shift: int  # row that begins a period
-    reflects: bool  # columns beyond the edges are folded back
 
     @property
     def taps(self) -> int:
@@ -82,11 +84,11 @@ class Kernels(NamedTuple):
         turn, place = np.divmod(np.arange(start, stop) - self.shift, len(self.first))
         return np.asarray(self.first[place] + turn * self.step)
 
-    def slab(self, start: int, stop: int, cols: int) -> tuple[int, Array]:
+    def slab(self, start: int, stop: int, turn: int) -> tuple[int, Array]:
         """First column in use of rows `start` to `stop` of A, and their weights from there on."""
         columns = self.starts(start, stop)[:, None] + np.arange(self.taps)
-        if self.reflects:
-            columns = mirrored(columns, cols)
+        if turn:
+            columns = mirrored(columns, turn)
         low, high = int(columns.min()), int(columns.max())
         rows, width = stop - start, high + 1 - low
         weights = self.weights[(np.arange(start, stop) - self.shift) % len(self.first)]
@@ -102,24 +104,30 @@ class Matrix(NamedTuple):
     kernels: Kernels
     rows: int
     cols: int
+    turn: int  # columns beyond the edges are folded back, see `mirrored`; 0 if there are none
     transposed: bool
+
+    @property
+    def period(self) -> int:
+        """Rows, or columns of A, from one period to the next."""
+        return self.kernels.step if self.transposed else len(self.kernels.first)
 
     def slab(self, start: int, stop: int) -> tuple[int, Array]:
         """First column in use of rows `start` to `stop`, and their weights from there on."""
-        kernels, cols = self.kernels, self.cols
+        kernels, turn = self.kernels, self.turn
         if not self.transposed:
-            return kernels.slab(start, stop, cols)
+            return kernels.slab(start, stop, turn)
         # the rows of A that reach one of these columns, directly or folded back at an edge
         first = kernels.starts(0, self.rows)
         end = first + kernels.taps
         reaches = (first < stop) & (end > start)
-        if kernels.reflects:
-            reaches |= (first < -start) | (end > 2 * cols - stop) | (kernels.taps > cols)
+        if turn:
+            reaches |= (first < -start) | (end > turn - stop) | (2 * kernels.taps > turn)
         used = np.flatnonzero(reaches)
         if not len(used):
             return 0, np.zeros((stop - start, 1))
         low, high = int(used[0]), int(used[-1]) + 1
-        col, dense = kernels.slab(low, high, cols)
+        col, dense = kernels.slab(low, high, turn)
         padded = np.zeros((high - low, max(stop, col + dense.shape[1])))
         padded[:, col : col + dense.shape[1]] = dense
         return low, padded[:, start:stop].T
@@ -134,15 +142,18 @@ class Matrix(NamedTuple):
         if not self.transposed:
             return int(max((head < 0).sum(), (tail + kernels.taps > cols).sum()))
         before, after = (int(kernels.starts(row, row + 1)[0]) for row in (-1, rows))
-        folded = int(max(-head.min(), tail.max() + kernels.taps - cols))
-        return max(before + kernels.taps, cols - after, folded)
+        folded = int(max(-head.min(), tail.max() + kernels.taps + cols - self.turn))
+        return max(before + kernels.taps, cols - after, folded if self.turn else 0)
 
-    def banded(
-        self, axis: int, height: int, period: int, dtype: torch.dtype, device: torch.device
-    ) -> Banded:
-        """Cut the matrix, which repeats every `period` rows, into blocks of `height` rows. They lie
-        in memory as the product along `axis` wants them.
+    def banded(self, axis: int, dtype: torch.dtype, device: torch.device) -> Banded:
+        """Cut the matrix into blocks of rows, which lie in memory as the product along `axis` wants
+        them.
         """
+        least = 8 if axis == 0 else 32  # rows of a block: the fastest of 4…64 on 256 and 512 px
+        height = max(least, PERIOD)
+        if self.period <= PERIOD:
+            height = self.period * -(-least // self.period)
+        period = math.lcm(height, self.period)
 
         def blocks(start: int, stop: int) -> list[Run]:
             """Cut rows `start` to `stop`, with the columns that each block uses."""
@@ -211,7 +222,7 @@ def along_columns(matrix: Banded, x: Tensor) -> Tensor:
     return out
 
 
-Kind = Literal["blur", "shrink", "enlarge"]
+Kind = Literal["blur", "halve", "shrink", "enlarge"]
 
 
 class Node(NamedTuple):
@@ -220,6 +231,9 @@ class Node(NamedTuple):
     sigma: float
     cell: float
     reach: float
+
+
+HALF = Node(0.0, 2.0, 0.0)  # stands for the half picture
 
 
 # Matrices for fifty sizes of a small picture, or for a few of a large one. With 16 MiB a process
@@ -232,22 +246,32 @@ def _kernels(kind: Kind, node: Node) -> Kernels:
     a, q = per_cell(node.cell)
     if kind == "blur":
         kernel = blur_kernel(node.sigma, node.reach)
-        middle = np.array([-(kernel.shape[1] // 2)])
-        return Kernels(middle, kernel.numpy(), step=1, shift=0, reflects=True)
+        return Kernels(np.array([-(kernel.shape[1] // 2)]), kernel.numpy(), step=1, shift=0)
+    if kind == "halve":
+        return Kernels(np.array([1 - len(HALVING) // 2]), HALVING[None], step=2, shift=0)
     cells = torch.arange(a if kind == "shrink" else q, device="cpu")
     if kind == "shrink":
-        first, weights = shrink_kernels(cells, a, q, node.sigma, node.reach)
-        return Kernels(first.numpy(), weights.numpy(), step=q, shift=MARGIN, reflects=True)
+        first, weights = shrink_kernels(cells, a, q // 2, rest_of(node.sigma), node.reach)
+        return Kernels(first.numpy(), weights.numpy(), step=q // 2, shift=MARGIN)
     first, weights = enlarge_kernels(cells, a, q)
-    return Kernels((first + MARGIN).numpy(), weights.numpy(), step=a, shift=0, reflects=False)
+    return Kernels((first + MARGIN).numpy(), weights.numpy(), step=a, shift=0)
 
 
 def whole(kind: Kind, size: int, node: Node, adjoint: bool = False) -> Matrix:
-    """Matrix of a node for an axis of `size` px, or its transpose, before it is cut into blocks."""
+    """Matrix of a node for an axis of `size` px, or its transpose, before it is cut into blocks:
+    "blur" on the picture's grid; "halve" to the half picture, "shrink" from there to a coarser
+    grid, "enlarge" to the picture's. A blur is its own transpose: with half-sample reflection, the
+    cosine transform diagonalises it.
+    """
     a, q = per_cell(node.cell)
-    cells = -(-size * a // q) + 2 * MARGIN
-    shape = {"blur": (size, size), "shrink": (cells, size), "enlarge": (size, cells)}[kind]
-    return Matrix(_kernels(kind, node), *shape, adjoint and kind != "blur")
+    half, cells = -(-size // 2), -(-size * a // q) + 2 * MARGIN
+    rows, cols, turn = {
+        "blur": (size, size, 2 * size),
+        "halve": (half, size, 2 * size),
+        "shrink": (cells, half, size),
+        "enlarge": (size, cells, 0),
+    }[kind]
+    return Matrix(_kernels(kind, node), rows, cols, turn, adjoint and kind != "blur")
 
 
 def operator(
@@ -259,24 +283,10 @@ def operator(
     device: torch.device,
     adjoint: bool = False,
 ) -> Banded:
-    """Matrix of a node for an axis (0 for rows) of `size` px, or its transpose, in blocks: "blur"
-    on the image's grid; "shrink" to a coarser one, "enlarge" back. A blur is its own transpose:
-    with half-sample reflection, the cosine transform diagonalises it.
-    """
+    """Matrix of a node, see `whole`, for an axis (0 for rows), in blocks."""
     key = (kind, axis, size, node, dtype, device, adjoint)
     banded = _CACHE.get(key)
-    if banded is not None:
-        return banded
-    rows = 8 if axis == 0 else 32  # in a block: the fastest of 4…64 on 256 and 512 px
-    a, q = per_cell(node.cell)
-    # whole periods of the grid repeat; a strip of rows of the image ends between two blocks
-    height = period = rows
-    if kind != "blur":
-        height, period = max(rows, min(q, PERIOD)), q
-    if (kind == "enlarge" and adjoint) or (kind == "shrink" and not adjoint):
-        # their rows are cells
-        height, period = a * -(-rows // a), a
-    matrix = whole(kind, size, node, adjoint)
-    banded = matrix.banded(axis, height, math.lcm(height, period), dtype, device)
-    _CACHE.put(key, banded, banded.bytes)
+    if banded is None:
+        banded = whole(kind, size, node, adjoint).banded(axis, dtype, device)
+        _CACHE.put(key, banded, banded.bytes)
     return banded

@@ -12,6 +12,10 @@ from uwaug._support.types import Array
 
 PERIOD = 16  # of grids, px: their cells divide it evenly, or are whole multiples of it
 MARGIN = 2  # cells of a grid beyond either edge, which a cubic spline needs
+# Of the picture at half of its size, which coarser grids read: a row of Pascal's triangle lets less
+# through than a Gaussian of what would alias.
+HALVING = np.array([1, 5, 10, 10, 5, 1]) / 32
+_HALVING_VARIANCE = 5 / 4  # px²
 _POLE = math.sqrt(3.0) - 2.0  # of the filter that makes cubic B-spline coefficients of samples
 _SPLINE_REACH = 8  # cells that the filter reaches: |_POLE|^8 = 3e-5, where the Gaussian leaves 1e-2
 
@@ -30,10 +34,12 @@ def _sampled_variances() -> tuple[Array, Array]:
     return parameters, 2 * (weights @ squares) / (1 + 2 * weights.sum(1))
 
 
-def reflect(index: Tensor, size: int) -> Tensor:
-    """Fold indices into [0, size), half-sample symmetric."""
+def reflect(index: Tensor, turn: int) -> Tensor:
+    """Fold indices at the edges of an axis, which repeats after a `turn` there and back: of 2·size,
+    or of `size` for the half picture, whose last sample lies on the edge of an odd size.
+    """
     # a tensor, as ONNX has no remainder by a symbolic number
-    period = torch.full((1,), 2 * size, dtype=torch.int64)
+    period = torch.full((1,), turn, dtype=torch.int64)
     index = torch.remainder(index, period)
     return torch.minimum(index, period - 1 - index)
 
@@ -53,6 +59,11 @@ def per_cell(cell: float) -> tuple[int, int]:
     """Pitch of a grid as (a, q): `a` cells on `q` px."""
     pitch = Fraction(cell).limit_denominator(PERIOD)
     return pitch.denominator, pitch.numerator
+
+
+def rest_of(sigma: float) -> float:
+    """Width (px of the half picture) that makes a blur of `sigma` px of the half picture."""
+    return math.sqrt(sigma**2 - _HALVING_VARIANCE) / 2
 
 
 def shrink_kernels(

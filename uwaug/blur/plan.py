@@ -105,9 +105,16 @@ def plan_blur(
     checks.tolerance(tolerance)
     checks.one_of("shape", shape, get_args(Shape))
     checks.within("longest", longest, 1)
+    return planned(float(sigma_min), float(sigma_max), float(tolerance), shape, longest, shared)
+
+
+def planned(
+    low: float, high: float, tolerance: float, shape: Shape, longest: float, shared: bool
+) -> BlurPlan:
+    """As `plan_blur`, unchecked."""
     # in octaves, so that sizes share plans; a tiny picture would ask too much of narrow blurs
     octave = max(octave_steps(longest, 1, math.ceil), 256.0) if shape == "exponential" else 512.0
-    return _plan_blur(float(sigma_min), float(sigma_max), float(tolerance), shape, octave, shared)
+    return _plan_blur(low, high, tolerance, shape, octave, shared)
 
 
 @lru_cache(maxsize=1024)
@@ -136,11 +143,13 @@ def _plan_blur(
     # Grids and kernels err by a third of the plan each, 9.5 dB less: a grid of 1.1 samples per σ
     # by 70 dB and one of 1.5 by 84; a kernel cut at 3 σ by 70 and one cut at 3.5 σ by 85.
     density = min(max(1.1 + (decibel - 60) / 40, 1.0), 3.0)
+    # the half picture, which grids read, errs by 90 dB at 4 px and by σ⁻⁴
+    halved_from = 0.4 * 10 ** (decibel / 80)
     return BlurPlan(
         sigma_min=low,
         sigma_max=high,
         sigmas=sigmas,
-        cells=tuple(_cell(sigma / density) for sigma in sigmas),
+        cells=tuple(_cell(x / density) if x > halved_from else 1.0 for x in sigmas),
         coefficients=tuple(map(tuple, coefficients.tolist())),
         reach=min(max(3 + (decibel - 60) / 24, 2.5), 8.0),
         error=error,

@@ -8,10 +8,8 @@ import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug.blur.banded import Banded, Kind, Node, along_columns, along_rows, operator
+from uwaug.blur.banded import HALF, Kind, Node, along_columns, along_rows, operator
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line, plan_blur
-
-Chain = tuple[tuple[int, Banded], ...]  # products in the order of use: axis and matrix of each
 
 
 def varying_blur(
@@ -92,15 +90,21 @@ def _series(coefficients: Tensor, x: Tensor) -> Tensor:
 
 
 @torch.library.custom_op("uwaug::node_blur", mutates_args=())
-def _node_blur(x: Tensor, sigma: float, cell: float, reach: float, adjoint: bool) -> Tensor:
-    """Apply one blur of a stack, or its adjoint, to x (H, N, W). torch.compile keeps it whole."""
-    size = (x.shape[0], x.shape[2])
-    return products(x.contiguous(), chain_of(Node(sigma, cell, reach), size, x, adjoint))
+def _node_blur(
+    x: Tensor, h: int, w: int, sigma: float, cell: float, reach: float, adjoint: bool
+) -> Tensor:
+    """Apply one blur of a stack for pictures of h × w px, or its adjoint, to x (H, N, W).
+    torch.compile keeps it whole.
+    """
+    return _products(x.contiguous(), Node(sigma, cell, reach), (h, w), adjoint)
 
 
 @_node_blur.register_fake
-def _(x: Tensor, sigma: float, cell: float, reach: float, adjoint: bool) -> Tensor:
-    return torch.empty_like(x, memory_format=torch.contiguous_format)
+def _(x: Tensor, h: int, w: int, sigma: float, cell: float, reach: float, adjoint: bool) -> Tensor:
+    # one that halves ends on the half picture, one on a coarser grid begins there
+    if cell != 1 and (sigma == 0) != adjoint:
+        h, w = (h + 1) // 2, (w + 1) // 2
+    return x.new_empty(h, x.shape[1], w)
 
 
 def _remember(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
@@ -109,7 +113,7 @@ def _remember(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
 
 def _node_blur_backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
     *arguments, adjoint = ctx.arguments
-    return _node_blur(gradient, *arguments, not adjoint), None, None, None, None
+    return _node_blur(gradient, *arguments, not adjoint), *[None] * 6
 
 
 _node_blur.register_autograd(_node_blur_backward, setup_context=_remember)
@@ -128,7 +132,7 @@ class _Blur(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         *arguments, adjoint = ctx.arguments
-        return _applied(gradient, *arguments, not adjoint), None, None, None, None
+        return _applied(gradient, *arguments, not adjoint), *[None] * 6
 
     @staticmethod
     def jvp(ctx: Any, tangent: Tensor, *_: None) -> Tensor:
@@ -138,15 +142,22 @@ class _Blur(torch.autograd.Function):
     def vmap(info: Any, in_dims: Any, x: Tensor, *arguments: Any) -> tuple[Tensor, int]:
         x = x.movedim(in_dims[0], 1)
         h, batch, n, w = x.shape
-        return _applied(x.reshape(h, -1, w), *arguments).reshape(h, batch, n, w), 1
+        result = _applied(x.reshape(h, -1, w), *arguments)
+        return result.reshape(len(result), batch, n, -1), 1
 
 
 _applied: Callable[..., Tensor] = _Blur.apply
 
 
-def products(x: Tensor, chain: Chain) -> Tensor:
-    """Apply the matrices of a chain in turn to x (H, N, W)."""
-    for axis, matrix in chain:
+def _products(x: Tensor, node: Node, size: tuple[int, int], adjoint: bool) -> Tensor:
+    """Apply the matrices of one blur of a stack, in the order of the fewest operations."""
+    order: list[tuple[int, Kind]] = [(0, "blur"), (1, "blur")]
+    if node == HALF:
+        order = [(0, "halve"), (1, "halve")]
+    elif node.cell != 1:
+        order = [(0, "shrink"), (1, "shrink"), (1, "enlarge"), (0, "enlarge")]
+    for axis, kind in reversed(order) if adjoint else order:
+        matrix = operator(kind, axis, size[axis], node, x.dtype, x.device, adjoint)
         h, n, w = x.shape
         if axis == 0:
             x = along_rows(matrix, x.reshape(h, n * w)).reshape(-1, n, w)
@@ -155,27 +166,16 @@ def products(x: Tensor, chain: Chain) -> Tensor:
     return x
 
 
-def chain_of(node: Node, size: tuple[int, int], like: Tensor, adjoint: bool = False) -> Chain:
-    """Products of one blur of a stack, with the fewest operations; none for σ = 0."""
-    if node.sigma == 0:
-        return ()
-    order: list[tuple[int, Kind]] = [(0, "blur"), (1, "blur")]
-    if node.cell != 1:
-        order = [(0, "shrink"), (1, "shrink"), (1, "enlarge"), (0, "enlarge")]
-    chain = []
-    for axis, kind in reversed(order) if adjoint else order:
-        matrix = operator(kind, axis, size[axis], node, like.dtype, like.device, adjoint)
-        chain.append((axis, matrix))
-    return tuple(chain)
-
-
 def blurred(image: Tensor, plan: BlurPlan) -> list[Tensor]:
     """Blurs of a batch by a plan: K tensors like `image` (BxCxHxW), differentiable."""
     b, c, h, w = image.shape
-    x = image.permute(2, 0, 1, 3).reshape(h, b * c, w)
     of_node = _applied if torch._C._are_functorch_transforms_active() else _node_blur
+    x = half = image.permute(2, 0, 1, 3).reshape(h, b * c, w)
+    if max(plan.cells) > 1:
+        half = of_node(x, h, w, *HALF, False)
     stack = []
     for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):
-        blur = of_node(x, sigma, cell, plan.reach, False) if sigma > 0 else x
+        source = x if cell == 1 else half
+        blur = of_node(source, h, w, sigma, cell, plan.reach, False) if sigma > 0 else x
         stack.append(blur.reshape(h, b, c, w).permute(1, 2, 0, 3))
     return stack

@@ -4,7 +4,6 @@ Help, completion and the version load neither torch nor numpy: commands import w
 """
 
 import io
-import os
 import signal
 import sys
 import warnings
@@ -62,18 +61,8 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             # a console of another encoding than UTF-8 shows ? for β
             stream.reconfigure(errors="replace")
-    try:
-        try:
-            # shells ask for completion through a variable that is named after the program
-            app(prog_name="uwaug")
-        finally:
-            sys.stdout.flush()
-    except OSError as error:
-        # an error of the console, as commands report those of files; Python would write again when
-        # it ends, and fail again
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        print(f"Error: cannot write to the console: {error.strerror or error}", file=sys.stderr)
-        sys.exit(1)
+    # shells ask for completion through a variable that is named after the program
+    app(prog_name="uwaug")
 
 
 def _print_version(flag: bool) -> None:
@@ -85,10 +74,7 @@ def _print_version(flag: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool,
-        typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version."
-        ),
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print it.")
     ] = False,
 ) -> None:
     pass

@@ -10,6 +10,7 @@ from uwaug.cli.choices import Force, Resume, Workers, complete
 from uwaug.cli.console import counted, end_if_failed, print_counts, reported_errors, require_folder
 
 _HOLDS = ("inverse", "relative", "metres")
+_Colour = tuple[float, float, float]
 
 
 def depth(
@@ -23,7 +24,6 @@ def depth(
             metavar="PATH|NAME",
         ),
     ] = "depth-anything-v2-small",
-    revision: Annotated[str | None, typer.Option(help="Commit, branch or tag on the hub.")] = None,
     holds: Annotated[
         str,
         typer.Option(
@@ -35,8 +35,8 @@ def depth(
     ] = "inverse",
     short_side: Annotated[int, typer.Option(help="Short side of the input, px, if free.")] = 518,
     multiple: Annotated[int, typer.Option(help="Side of the patches, px; 32 for MiDaS.")] = 14,
-    mean: Annotated[str, typer.Option(help="Mean of red, green, blue.")] = "0.485,0.456,0.406",
-    std: Annotated[str, typer.Option(help="Deviation of red, green, blue.")] = "0.229,0.224,0.225",
+    mean: Annotated[_Colour, typer.Option(help="Means of channels.")] = (0.485, 0.456, 0.406),
+    std: Annotated[_Colour, typer.Option(help="Deviations of them.")] = (0.229, 0.224, 0.225),
     workers: Workers = 0,
     resume: Resume = False,
     force: Force = False,
@@ -58,9 +58,8 @@ def depth(
             holds=kind(),
             short_side=short_side,
             multiple=multiple,
-            mean=_colour("mean", mean),
-            std=_colour("std", std),
-            revision=revision,
+            mean=mean,
+            std=std,
         )
         rows = propose(pictures, exclude=[out])
         if unread := left_out(pictures, [out]):
@@ -83,11 +82,3 @@ def depth(
         flags = "--unit mm --holes far"
     files = f"{quote(str(pictures))} --distance {quote(str(out))}"
     print(f"go on: uwaug degrade {files} {flags} --out underwater")
-
-
-def _colour(name: str, text: str) -> tuple[float, ...]:
-    try:
-        red, green, blue = map(float, text.split(","))
-    except ValueError:
-        raise ValueError(f"{name} must be three numbers, such as 0.5,0.5,0.5; got {text}") from None
-    return red, green, blue

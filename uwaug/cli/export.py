@@ -28,11 +28,9 @@ def export(
     force: Force = False,
 ) -> None:
     """Write a preset, or what uwaug fit has written, as an ONNX file, and check it."""
-    if name is not None and preset is not None:
-        end(2, f"{name} and --preset {preset}: give one preset")
-    preset = preset or name
-    if preset is None:
-        end(2, "expected --preset, a preset's name or file, or what uwaug fit has written")
+    if (name is None) == (preset is None):
+        end(2, "expected one preset: a name, a file, or what uwaug fit has written")
+    preset = preset or name or ""
     require_writable(out, force=force, endings=(".onnx",))
     from uwaug import Medium, Underwater
     from uwaug.fitting import load_fit
@@ -48,11 +46,8 @@ def export(
                 # planned for the widths of all named waters
                 named = (_transform(preset, other, options) for other in (*WATERS, *PLACES))
                 media = [transform.module().medium for transform in named]
-                medium = Medium.stack([module.medium, *media])
-                setting = replace(module.setting, medium=medium)
-                module = Underwater.of(
-                    setting, module.distance_range, module.tolerance, sides=sides
-                )
+                setting = replace(module.setting, medium=Medium.stack([module.medium, *media]))
+                module = Underwater.of(setting, module.distance_range, sides=sides)
         export_onnx(module, out, coefficients=coefficients, progress=say)
     print_written(out)
     print(f"    {module.medium}")

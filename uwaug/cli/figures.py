@@ -8,15 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uwaug.cli import console
 from uwaug.cli.choices import Distance, Force, Holes, Picture, Preset, Unit, Water, read_scene
-from uwaug.cli.console import (
-    end,
-    print_written,
-    reported_errors,
-    require_folder,
-    require_writable,
-    status,
-)
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -58,7 +51,7 @@ def plot(
             return water_case(load_water(water or "1C"), scene)
         return preset_case(preset, load_preset(preset, water=water))
 
-    with reported_errors():
+    with console.reported_errors():
         scene = read_scene(picture, distance, unit, holes)
     _draw_into(out, scene, case, force)
     if scene.note:
@@ -75,25 +68,22 @@ def compare(
     system: Annotated[
         list[str] | None,
         typer.Option(
-            help="Published system; repeat it for more. By default all, but of a water that is no "
-            "Jerlov type li-2020 (UWCNN) and slurpp-2025 know nothing."
+            help="Published system; repeat it for more. By default all that know the water: "
+            "li-2020 (UWCNN) and slurpp-2025 know Jerlov types alone."
         ),
     ] = None,
-    stretch: Annotated[
-        float, typer.Option(help="Factor of all distances: .2 brings the scene 5 times nearer.")
-    ] = 1.0,
     force: Force = False,
 ) -> None:
     """Draw your own scene as uwaug and each published system make it."""
-    require_writable(out, force=force, endings=(".png", ".jpg"))
+    console.require_writable(out, force=force, endings=(".png", ".jpg"))
     from uwaug.figures.comparison import draw_comparison
     from uwaug.figures.sheet import save
 
-    with reported_errors(), status() as say:
+    with console.reported_errors(), console.status() as say:
         scene = read_scene(picture, distance, unit, holes)
         say("computing the systems")
-        save(draw_comparison(scene, water or "II", system or (), stretch=stretch), out)
-    print_written(out)
+        save(draw_comparison(scene, water or "II", system or ()), out)
+    console.print_written(out)
 
 
 def _draw_into(out: Path, scene: "Scene", case: "Callable[[Scene], Case]", force: bool) -> None:
@@ -105,16 +95,18 @@ def _draw_into(out: Path, scene: "Scene", case: "Callable[[Scene], Case]", force
         out / "1-waters.jpg": lambda: draw_waters(scene),
         out / "2-terms.jpg": lambda: draw_terms(scene, case(scene)),
     }
-    require_folder(out)
+    console.require_folder(out)
     names = sorted({*os.listdir(out)} - {path.name for path in sheets}) if out.is_dir() else []
     if names and not force:
-        end(2, f"{out} holds other files, such as {names[0]}: choose an empty folder, or --force")
+        console.end(
+            2, f"{out} holds other files, such as {names[0]}: choose an empty folder, or --force"
+        )
     start = time.perf_counter()
-    with reported_errors(), status() as say:
+    with console.reported_errors(), console.status() as say:
         require("plot", "matplotlib")
         out.mkdir(parents=True, exist_ok=True)
         for path, draw in sheets.items():
             say(f"drawing {path.name}")
             save(draw(), path)
-    print_written(*sheets)
+    console.print_written(*sheets)
     print(f"{len(sheets)} pictures, {time.perf_counter() - start:.1f} s")

@@ -15,9 +15,7 @@ def fit(
     out: Annotated[Path, typer.Option(help="JSON file to write.")],
     clean: Annotated[
         Path | None,
-        typer.Option(
-            help="Picture of the scene without water. Without it, the veil alone is estimated."
-        ),
+        typer.Option(help="Picture of it without water; else the veil alone is estimated."),
     ] = None,
     unit: Unit = "m",
     holes: Annotated[
@@ -35,24 +33,19 @@ def fit(
         str | None, typer.Option(help="Of --model waters: a camera's name, or a CSV file.")
     ] = None,
     g: Annotated[
-        float | None,
-        typer.Option(help="Of --model waters: share scattered away; else .05."),
+        float | None, typer.Option(help="Of --model waters: share scattered away; else .05.")
     ] = None,
     mu: Annotated[
         float | None, typer.Option(help="Of --model waters: share scattered back; else 1.5·g.")
     ] = None,
     view: Annotated[
-        float | None,
-        typer.Option(help="Of --model waters: horizontal angle of the view, degrees; else 60."),
+        float | None, typer.Option(help="Of --model waters: angle of view, degrees; else 60.")
     ] = None,
     focal_px: Annotated[
         float | None, typer.Option(help="In place of --view: focal length, px of the pictures.")
     ] = None,
     darkest: Annotated[
-        float | None,
-        typer.Option(
-            help="Without --clean: share of light that the darkest surfaces reflect; else .05."
-        ),
+        float | None, typer.Option(help="Without --clean: what is darkest reflects; else .05.")
     ] = None,
     gain: Annotated[
         Literal["free", "fixed"], typer.Option(help="Exposure and daylight above the scene.")
@@ -81,16 +74,16 @@ def fit(
     with reported_errors():
         if figure is not None:
             require("plot", "matplotlib")
-        if model == "waters" and gain == "fixed":
-            raise ValueError("--model waters fits the gain: leave out --gain fixed")
+        if gain == "fixed" and (model == "waters" or clean is None):
+            raise ValueError("--gain fixed needs --clean, and another model than waters")
         optics: dict[str, Any] = {"surfaces": surfaces, "camera": camera, "g": g, "mu": mu}
         optics = {name: value for name, value in optics.items() if value is not None}
         if table := view_table(view, focal_px):
             optics["view"] = uwaug.View(**table)
         if optics and model != "waters":
             raise ValueError(f"--{next(iter(optics))} is of --model waters, got --model {model}")
-        if clean is None and (model not in ("auto", "veil") or gain == "fixed"):
-            raise ValueError(f"--model {model} --gain {gain} needs --clean")
+        if clean is None and model not in ("auto", "veil"):
+            raise ValueError(f"--model {model} needs --clean")
         if clean is not None and darkest is not None:
             raise ValueError("--darkest is of fits without --clean: leave one of them out")
         wet = read_picture(observed)

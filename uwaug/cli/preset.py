@@ -41,10 +41,7 @@ def list_() -> None:
 @preset.command()
 def show(
     name: Annotated[
-        str,
-        typer.Argument(
-            help="Preset, or the path of a .toml file.", autocompletion=complete(*list_presets())
-        ),
+        str, typer.Argument(help="Or a .toml file.", autocompletion=complete(*list_presets()))
     ],
 ) -> None:
     """Print the file of a preset, and its medium."""
@@ -62,17 +59,13 @@ def show(
 def waters(
     own: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[WATER]...",
-            help="Waters of your own beside those with names: contents, or CSV files.",
-        ),
+        typer.Argument(metavar="[WATER]...", help="Waters of your own: contents, or CSV files."),
     ] = None,
     plot: Annotated[
         Path | None, typer.Option(help="PNG file to write: a, b and K_d of all of them.")
     ] = None,
     as_json: Annotated[
-        bool,
-        typer.Option("--json", help="Print rows for the inputs of uwaug export --coefficients."),
+        bool, typer.Option("--json", help="Print inputs for uwaug export --coefficients.")
     ] = False,
     preset: Preset = "survey",
     force: Force = False,

@@ -25,9 +25,6 @@ def from_relative(
     Returns:
         Metres, shape of `t` (broadcast); straight below t = 1e-6, so that gradients are finite.
 
-    Raises:
-        ValueError: a number is out of range.
-
     Examples:
         >>> from_relative(torch.tensor([[0.0, 0.5, 1.0]]), near=1.0, far=5.0, gamma=2.0)
         tensor([[1., 2., 5.]])
@@ -36,9 +33,9 @@ def from_relative(
     if bool(((t < 0) | (t > 1)).any()):
         raise ValueError(f"t must lie in [0, 1], got {checks.span(t)}: normalise it first")
     n, f, power = (torch.as_tensor(number, dtype=torch.float64) for number in (near, far, gamma))
-    if not bool(((n >= 0) & (f >= n) & f.isfinite()).all()):
+    if not bool(((n >= 0) & (f >= n) & (f < torch.inf)).all()):
         raise ValueError(f"near and far must be 0 <= near <= far < inf, got {near} and {far}")
-    if not bool(((power > 0) & power.isfinite()).all()):
+    if not bool(((power > 0) & (power < torch.inf)).all()):
         raise ValueError(f"gamma must be positive and finite, got {gamma}")
     safe = t.clamp(min=1e-6)
     return near + (far - near) * (t / safe * safe**gamma)
@@ -56,10 +53,8 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
             is open water or sky; numbers, or tensors that broadcast against `inverse`.
 
     Returns:
-        Metres, shape of `inverse` (broadcast), NaN where unknown.
-
-    Raises:
-        ValueError: a map is constant or has no finite value, or `near`, `far` are out of range.
+        Metres, shape of `inverse` (broadcast), NaN where unknown. A ValueError if a map is constant
+        or has no finite value.
 
     Source: Ranftl et al. 2022, Towards robust monocular depth estimation.
 
@@ -76,7 +71,7 @@ def from_inverse(inverse: Tensor, near: float | Tensor, far: float | Tensor) -> 
     largest = torch.where(finite, inverse, -torch.inf).amax((-2, -1), keepdim=True)
     flat = ~(largest > least)
     if bool(flat.any()):
-        got = f"{first_bad_map(flat)} that is constant or has no finite value"
+        got = f"{int(flat.sum())} of {flat.numel()} constant or without a finite value"
         raise ValueError(f"inverse must vary within each map, got {got}: scale before you crop")
     # halves, whose difference no pair of finite values can make infinite
     low = least / 2
@@ -146,15 +141,8 @@ def along_ray(
 
 
 def as_maps(name: str, x: Tensor) -> Tensor:
-    """Check a tensor of maps (..., H, W), and take half precision up to float32."""
+    """Refuse what is no tensor of maps (..., H, W), and take half precision up to float32."""
     checks.floating(name, x, ": 8-bit values need / 255, millimetres / 1000")
     if x.ndim < 2:
         raise ValueError(f"{name} must have shape (..., H, W), got {tuple(x.shape)}")
     return x.float() if x.dtype.itemsize < 4 else x
-
-
-def first_bad_map(bad: Tensor) -> str:
-    """Name the first map that `bad` marks, for an error."""
-    if bad.numel() == 1:
-        return "a map"
-    return f"map {int(bad.flatten().nonzero()[0])} of {bad.numel()}, counted from 0,"

@@ -32,13 +32,14 @@ def doubts(distance: Tensor | Sequence[Tensor]) -> list[str]:
     for z in maps:
         checks.floating("distance", z)
         checks.picture("distance", z, 1)
+        if (median := checks.too_far(z)) is not None:
+            cure = "in millimetres, divide by 1000 (--unit mm)"
+            sentences.setdefault("far", f"distances have a median of {median:.4g} m: {cure}")
+        if sentence := _relative(z):
+            sentences.setdefault("relative", sentence)
         stand_in = of_metres(z)
-        said = {
-            "far": _too_far(z),
-            "relative": _relative(z),
-            "end": in_words(z, stand_in) if bool(stand_in.any()) else "",
-        }
-        sentences = {key: text for key, text in said.items() if text} | sentences
+        if bool(stand_in.any()):
+            sentences.setdefault("end", in_words(z, stand_in))
     return list(sentences.values())
 
 
@@ -46,13 +47,6 @@ def question(distance: Tensor, stacklevel: int = 2) -> None:
     """Warn, once in a process, if one of its first maps (1xHxW) lies in 0…1."""
     if first_maps.due() and (sentence := _relative(distance)):
         first_maps.warn(sentence, stacklevel + 1)
-
-
-def _too_far(z: Tensor) -> str:
-    median = checks.too_far(z)
-    if median is None:
-        return ""
-    return f"distances have a median of {median:.4g} m: in millimetres, divide by 1000 (--unit mm)"
 
 
 def _relative(z: Tensor) -> str:

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from uwaug._support.once import Once
-from uwaug.distance.convert import as_maps, first_bad_map
+from uwaug.distance.convert import as_maps
 
 # How these were chosen, and what lost: benchmarks/CHOICES.md, "Holes".
 
@@ -43,13 +43,9 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
             farthest distance there.
 
     Returns:
-        Shape of `distance`; differentiable in the known pixels, with their choice held fixed.
-
-    Raises:
-        ValueError: a map has no known pixel.
-
-    Warns:
-        UserWarning: once, if more than 20 % of a map is unknown without `behind`.
+        Shape of `distance`; differentiable in the known pixels, with their choice held fixed. A
+        ValueError if a map has none; a warning, once, if more than 20 % of a map is unknown without
+        `behind`.
 
     Examples:
         >>> fill_unknown(torch.tensor([[2.0, 2.0, 2.0, 2.0, 0.0, 0.0, 3.0, 3.0, 3.0, 3.0]]))
@@ -61,14 +57,11 @@ def fill_unknown(distance: Tensor, *, behind: bool = False) -> Tensor:
     unknown = ~(distance > 0)
     if not bool(unknown.any()):
         return distance
-    shares = unknown.flatten(-2).double().mean(-1)
-    empty = shares == 1
-    if bool(empty.any()):
-        got = f"{first_bad_map(empty)} without any: fill before you crop"
-        raise ValueError(f"distance must have a known pixel in each map, got {got}")
-    percent = round(100 * float(shares.max()))
+    percent = 100 * float(unknown.flatten(-2).double().mean(-1).max())
+    if percent == 100:
+        raise ValueError("distance must have a known pixel in each map: fill before you crop")
     if not behind and percent > 100 * _GUESSED_SHARE:
-        got = f"distance is unknown at {percent} % of a map, and guessed"
+        got = f"distance is unknown at {percent:.0f} % of a map, and guessed"
         _guess_warning.warn(f"{got}: depth cameras want holes 'behind', open water wants 'far'")
     sources_of = _from_behind if behind else _from_nearest
     size = distance.shape[-2:]

@@ -12,11 +12,10 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
 from uwaug._support import checks, codec
-from uwaug._support.compiled import are_loaded, kept, wanted
 from uwaug._support.nouns import Drawn
 from uwaug._support.ranges import Range
 from uwaug.distance import cue
-from uwaug.distance.sources import Placed, require_ends
+from uwaug.distance.sources import LEAST_NEAR_M, Placed, require_ends
 
 # How it was chosen, and what lost: benchmarks/CHOICES.md, "Made-up distances".
 
@@ -54,8 +53,7 @@ class MadeUp(Placed):
     cue: Literal["network", "ramp"] = "network"
 
     def __post_init__(self) -> None:
-        if require_ends(self.near, self.far) == 0:
-            raise ValueError(f"near must lie above 0 m, as its logarithm counts, got {self.near}")
+        require_ends(self.near, self.far, LEAST_NEAR_M)
         checks.one_of("cue", self.cue, ("network", "ramp"))
 
     def ranges(self) -> dict[str, Range | None]:
@@ -75,10 +73,10 @@ class MadeUp(Placed):
             answers = cue.relative(picture, cue.learnt())
             log, is_open = (answer.double().numpy() for answer in answers)
         small = _varied(log, is_open, rng).astype(np.float32)
-        lines = _guided(small, guide)
-        lines[:3] /= white
-        # regression overshoots: without open water nothing lies beyond 1
-        depth = _enlarged(lines, image, float(small.max()))
+        lines = torch.from_numpy(_guided(small, guide)).to(image.device)[None]
+        large = interpolate(lines, image.shape[1:], mode="bilinear")[0]
+        depth = large[:3].mul_(image).sum(0).div_(white).add_(large[3])
+        depth.clamp_(0, float(small.max()))  # without open water nothing lies beyond 1
         near, far = drawn["near"], drawn["far"]
         z = depth.clamp(max=1).mul_(math.log(far / near)).exp_().mul_(near)
         if not drawn.get("hides"):
@@ -142,44 +140,3 @@ def _box(size: int) -> Floats:
     window = abs(places[:, None] - places) <= _GUIDE_PX
     box: Floats = (window / window.sum(1, keepdims=True)).astype(np.float32)
     return box
-
-
-def _enlarged(lines: Floats, picture: Tensor, highest: float) -> Tensor:
-    is_read = picture.is_cpu and picture.dtype in (torch.uint8, torch.float32)
-    if is_read and are_loaded() and wanted():
-        result = np.empty(picture.shape[1:], np.float32)
-        places = [_places(*sides) for sides in zip(lines.shape[1:], picture.shape[1:], strict=True)]
-        _compiled()(lines, picture.numpy(), *places, np.float32(highest), result)
-        return torch.from_numpy(result)
-    weights = torch.from_numpy(lines).to(picture.device)[None]
-    large = interpolate(weights, picture.shape[1:], mode="bilinear")[0]
-    large[:3].mul_(picture)
-    return large.sum(0).clamp_(0, highest)
-
-
-def _places(small: int, large: int) -> tuple[Any, Floats]:
-    places = ((np.arange(large) + 0.5) * (small / large) - 0.5).clip(0, small - 1)
-    before = np.minimum(places.astype(np.int64), max(small - 2, 0))
-    return before, (places - before).astype(np.float32)
-
-
-@cache
-def _compiled() -> Any:
-    return kept(_enlarge)
-
-
-def _enlarge(lines: Any, picture: Any, rows: Any, columns: Any, highest: Any, out: Any) -> None:
-    height, width = out.shape
-    last = lines.shape[1] - 1
-    for i in range(height):
-        above, down = rows[0][i], rows[1][i]
-        line = lines[:, above] + down * (lines[:, min(above + 1, last)] - lines[:, above])
-        step = np.zeros_like(line)
-        step[:, :-1] = line[:, 1:] - line[:, :-1]
-        for j in range(width):
-            before, across = columns[0][j], columns[1][j]
-            value = line[3, before] + across * step[3, before]
-            for c in range(3):
-                slope = line[c, before] + across * step[c, before]
-                value += slope * np.float32(picture[c, i, j])
-            out[i, j] = min(max(value, np.float32(0)), highest)

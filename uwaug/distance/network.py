@@ -18,13 +18,10 @@ from uwaug._support.onnx_session import Session
 from uwaug.distance.sizes import require_aspect
 from uwaug.distance.sources import Inverse, Source
 
-# address on the hub and commit of networks, whose options are the defaults of `Network`
-NAMED = {
-    "depth-anything-v2-small": (
-        "onnx-community/depth-anything-v2-small:onnx/model.onnx",  # Apache-2.0, 99 MB
-        "4472b7362082ad9968fee890ca0f1e5aca36b93d",
-    )
-}
+# its options are the defaults of `Network`; Apache-2.0, 99 MB
+_NAMED = "depth-anything-v2-small"
+_ADDRESS = "onnx-community/depth-anything-v2-small:onnx/model.onnx"
+_TRIED = "4472b7362082ad9968fee890ca0f1e5aca36b93d"  # commit
 _TYPES = {"tensor(float)": torch.float32, "tensor(float16)": torch.float16}
 _LONGEST = 4  # short sides that a side of the input measures at most
 
@@ -46,11 +43,6 @@ class Network(Source):
             four times as much at most.
         multiple: patch size, by which sides are divisible: 14 for Depth Anything, 32 for MiDaS.
         mean, std: the file gets (image − mean)/std of each channel, image in 0…1.
-        providers: ONNX Runtime's execution providers.
-        revision: commit, branch or tag of the hub; None: one that was tried, or the newest.
-
-    Raises:
-        FileNotFoundError: there is no such file, or the hub does not give it.
 
     Examples:
         >>> network = Network("depth-anything-v2-small")  # doctest: +SKIP
@@ -66,29 +58,21 @@ class Network(Source):
     multiple: int = 14
     mean: Sequence[float] = (0.485, 0.456, 0.406)
     std: Sequence[float] = (0.229, 0.224, 0.225)
-    providers: Sequence[str] = ("CPUExecutionProvider",)
-    revision: str | None = None
     _session: Session | None = field(init=False, repr=False, compare=False, default=None)
 
     def __post_init__(self) -> None:
         checks.instance("holds", self.holds, Source)
-        is_named = not callable(self.model) and not Path(self.model).is_file()
-        if self.revision is not None and not is_named:
-            raise ValueError(f"revision is of files on the hub, got model {self.model}")
-        if callable(self.model):
-            return
         checks.within("short_side", self.short_side, 1)
         checks.within("multiple", self.multiple, 1)
-        if is_named:
+        if not callable(self.model) and not Path(self.model).is_file():
             _address_of(str(self.model))
 
     @property
     def _opened(self) -> Session:
         # the hub is asked here: a preset of a stranger fetches nothing
         if self._session is None:
-            path = Path(cast(str, self.model))
-            path = path if path.is_file() else _fetched(str(self.model), self.revision)
-            session = Session(path, threads=None, providers=self.providers)
+            path, model = Path(str(self.model)), str(self.model)
+            session = Session(path if path.is_file() else _fetched(model), threads=None)
             object.__setattr__(self, "_session", session)
         return cast(Session, self._session)
 
@@ -101,7 +85,7 @@ class Network(Source):
         return self.holds.reach()
 
     @property
-    def has_size(self) -> bool:
+    def has_size(self) -> bool:  # type: ignore[override]
         return self.holds.has_size
 
     def placed(
@@ -118,16 +102,8 @@ class Network(Source):
 
     @torch.no_grad()
     def __call__(self, image: Tensor) -> Tensor:
-        """Run the network on pictures, without gradients.
-
-        Args:
-            image: (B, 3, H, W) or (3, H, W), sRGB in [0, 1].
-
-        Returns:
-            (B, 1, H, W) or (1, H, W), on the device of `image`; what `holds` says.
-
-        Raises:
-            ValueError: `image` leaves [0, 1], or the file gives no map.
+        """Run the network without gradients, on pictures (Bx3xHxW or 3xHxW, sRGB in 0…1): maps
+        (Bx1xHxW or 1xHxW) of what `holds` says, on the device of `image`.
         """
         if callable(self.model):
             return self.model(image)
@@ -144,42 +120,37 @@ class Network(Source):
         session = self._opened
         entry = session.opened.get_inputs()[0]
         channels, *sides = entry.shape[1:] if len(entry.shape) == 4 else [0, 0, 0]
-        are_colours = channels in (3, None) or isinstance(channels, str)
-        if not are_colours or entry.type not in _TYPES:
-            got = f"got {entry.shape}, {entry.type}"
-            raise ValueError(f"{self.model} must take (1, 3, h, w) of floating point, {got}")
+        if not (channels in (3, None) or isinstance(channels, str)) or entry.type not in _TYPES:
+            got = f"{entry.shape}, {entry.type}"
+            raise ValueError(f"{self.model} must take (1, 3, h, w) of floating point, got {got}")
         short, long = sorted(image.shape[-2:])
-        scale = self.short_side / max(short, long / _LONGEST)
-        size = []
-        for fixed, side in zip(sides, image.shape[-2:], strict=True):
-            free = max(1, round(side * scale / self.multiple)) * self.multiple
-            size.append(fixed if isinstance(fixed, int) else free)
-        x = interpolate(
-            image.float().cpu(), size, mode="bicubic", align_corners=False, antialias=True
-        ).clamp(0, 1)
+        scale = self.short_side / max(short, long / _LONGEST) / self.multiple
+        free = [max(1, round(side * scale)) * self.multiple for side in image.shape[-2:]]
+        size = [n if isinstance(n, int) else m for n, m in zip(sides, free, strict=True)]
+        x = image.float().cpu()
+        x = interpolate(x, size, mode="bicubic", align_corners=False, antialias=True).clamp(0, 1)
         x = (x - x.new_tensor(self.mean).view(3, 1, 1)) / x.new_tensor(self.std).view(3, 1, 1)
         depth = session({entry.name: x.to(_TYPES[entry.type])}).float()
         if depth.ndim not in (3, 4) or depth.shape[:-2].numel() != 1:
-            got = f"got {tuple(depth.shape)}"
-            raise ValueError(f"{self.model} must give (1, h, w) or (1, 1, h, w), {got}")
+            shape = tuple(depth.shape)
+            raise ValueError(f"{self.model} must give (1, h, w) or (1, 1, h, w), got {shape}")
         depth = depth.reshape(1, 1, *depth.shape[-2:])
         return interpolate(depth, image.shape[-2:], mode="bilinear", align_corners=False).to(image)
 
 
-def _address_of(model: str) -> tuple[str, str, str | None]:
-    address, tried = NAMED.get(model, (model, None))
-    repository, _, file = address.partition(":")
+def _address_of(model: str) -> tuple[str, str]:
+    repository, _, file = (_ADDRESS if model == _NAMED else model).partition(":")
     if repository.count("/") != 1 or not file:
-        expected = f"an ONNX file, {', '.join(NAMED)}, or owner/name:file of the hub"
+        expected = f"an ONNX file, {_NAMED}, or owner/name:file of the hub"
         raise FileNotFoundError(f"model must be {expected}, got {model}: no such file")
-    return repository, file, tried
+    return repository, file
 
 
-def _fetched(model: str, revision: str | None) -> Path:
-    repository, file, tried = _address_of(model)
+def _fetched(model: str) -> Path:
     (hub,) = require("hub", "huggingface_hub")
+    address, revision = _address_of(model), _TRIED if model == _NAMED else None
     try:
-        return Path(hub.hf_hub_download(repository, file, revision=revision or tried))
+        return Path(hub.hf_hub_download(*address, revision=revision))
     except Exception as error:  # of several libraries, without a common base
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise FileNotFoundError(f"{repository}:{file} could not be fetched: {reason}") from error
+        raise FileNotFoundError(f"{':'.join(address)} could not be fetched: {reason}") from error

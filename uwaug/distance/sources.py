@@ -36,7 +36,7 @@ NEAR_LEFT, FAR_LEFT = (0.25, 0.65), (0.005, 0.05)
 _NEAREST_M = 0.1, 2.5  # between which the near end is placed: one stands where one can see
 _FARTHEST_M = 50.0
 _LEAST_RATIO = 2.0  # of far to near
-_LEAST_NEAR_M = 1e-6  # that relative distance 0 gets with near = 0: a distance of 0 means unknown
+LEAST_NEAR_M = 1e-6  # that relative distance 0 gets with near = 0: a distance of 0 means unknown
 _stand_in_warning = Once()
 
 
@@ -45,17 +45,13 @@ class Source(Noun):
 
     reads_maps: ClassVar[bool] = True  # of which each picture brings one
     reads_pictures: ClassVar[bool] = False  # as sRGB; else their size and type alone count
+    has_size = True  # scenes are as large as they are, whatever the water
 
     def reach(self) -> tuple[float, float] | None:
         """Nearest and farthest distance (m) of all pictures; None where they follow from maps, or
         from the water.
         """
         return None
-
-    @property
-    def has_size(self) -> bool:
-        """True if scenes are as large as they are, whatever the water."""
-        return True
 
     def placed(
         self, drawn: Drawn, metres_for: Callable[[float], float], farthest: float = math.inf
@@ -144,15 +140,14 @@ class Placed(Source):
 
     def ranges(self) -> dict[str, Range | None]:
         """See `Noun.ranges`; of an end that is None, the share of contrast that is left there."""
-        free = {"near_left": NEAR_LEFT, "far_left": FAR_LEFT}
-        ends = {"near_left": self.near, "far_left": self.far}
-        return {**super().ranges(), **{n: s for n, s in free.items() if ends[n] is None}}
+        lefts = (("near_left", self.near, NEAR_LEFT), ("far_left", self.far, FAR_LEFT))
+        return {**super().ranges(), **{name: left for name, end, left in lefts if end is None}}
 
     def reach(self) -> tuple[float, float] | None:
         return (self._ends["near"][0], self._ends["far"][1]) if self.has_size else None
 
     @property
-    def has_size(self) -> bool:
+    def has_size(self) -> bool:  # type: ignore[override]
         return self.near is not None and self.far is not None
 
     def placed(
@@ -191,11 +186,8 @@ class Relative(Placed):
         _require_holes(self.holes)
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        assert distance is not None
-        near = max(drawn["near"], _LEAST_NEAR_M)
-        t = _without_stand_ins(as_maps("distance", distance), self.holes)
-        z = from_relative(t, near, drawn["far"], drawn["gamma"])
-        return _without_holes(z, self.holes)
+        t, near = _without_stand_ins(distance, self.holes), max(drawn["near"], LEAST_NEAR_M)
+        return _without_holes(from_relative(t, near, drawn["far"], drawn["gamma"]), self.holes)
 
 
 @codec.plain
@@ -213,13 +205,11 @@ class Inverse(Placed):
     holes: Holes = "error"
 
     def __post_init__(self) -> None:
-        if require_ends(self.near, self.far) == 0:
-            raise ValueError(f"near must lie above 0 m in inverse depth, got {self.near}")
+        require_ends(self.near, self.far, LEAST_NEAR_M)
         _require_holes(self.holes)
 
     def metres(self, distance: Tensor | None, image: Tensor, drawn: Drawn, **view: Any) -> Tensor:
-        assert distance is not None
-        inverse = _without_stand_ins(as_maps("distance", distance), self.holes)
+        inverse = _without_stand_ins(distance, self.holes)
         return _without_holes(from_inverse(inverse, drawn["near"], drawn["far"]), self.holes)
 
 
@@ -256,15 +246,16 @@ def _require_holes(holes: object) -> None:
         checks.one_of("holes", holes, (*get_args(_Policy), "a number of metres"))
 
 
-def require_ends(near: Range | None, far: Range | None) -> float:
-    """Refuse ranges of near and far that meet; return the least near, of None endless."""
-    least, largest = (math.inf, 0.0) if near is None else as_range("near", near, 0.0, unit="m")
-    if far is not None and not largest < as_range("far", far, 0.0, unit="m")[0]:
+def require_ends(near: Range | None, far: Range | None, least: float = 0.0) -> None:
+    """Refuse ranges of near and far that meet, and a near end below the least."""
+    nearest = 0.0 if near is None else as_range("near", near, least, unit="m")[1]
+    if far is not None and not nearest < as_range("far", far, 0.0, unit="m")[0]:
         raise ValueError(f"near must lie below far, got near = {near} and far = {far} in metres")
-    return least
 
 
-def _without_stand_ins(x: Tensor, holes: Holes) -> Tensor:
+def _without_stand_ins(distance: Tensor | None, holes: Holes) -> Tensor:
+    assert distance is not None
+    x = as_maps("distance", distance)
     alone = of_shares(x)
     if not bool(alone.any()):
         return x

@@ -2,6 +2,7 @@
 the largest of a type; a gap away from all others; or the end of a renderer's range.
 """
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,9 +16,7 @@ _LEAST_VALUES = 3  # that a map has besides
 _GAP_SHARE, _WIDE_GAP_SHARE = 0.2, 0.8
 _ZERO_GAP_SHARE = 0.02  # above 0: a network's maps are stretched to 0 without a gap
 # largest numbers of 16 bits, in usual units (m)
-_TYPE_ENDS_M = tuple(
-    end * unit for end in (32767, 65504, 65535) for unit in (1.0, 0.1, 0.01, 0.001)
-)
+_TYPE_ENDS_M = np.outer((32767, 65504, 65535), (1.0, 0.1, 0.01, 0.001)).ravel().tolist()
 # share of the pixels at the largest distance, and its ratio to the median of all others, from which
 # on a renderer ends there; by default at most .12 of the contrast would be left so far away
 _END_SHARE, _END_TIMES = 0.01, 20.0

@@ -18,14 +18,15 @@ from uwaug._support.compiled import OPTIONS, are_loaded, kept, loops_are_loaded,
 from uwaug.formation.development import Development
 from uwaug.formation.sensor import Sensor
 from uwaug.formation.setting import Setting
-from uwaug.light import Light
+from uwaug.light import Lamp, Light
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
 from uwaug.optics.snow import MarineSnow
+from uwaug.optics.view import View
 
 _log = logging.getLogger(__name__)
 # what the loops compute, but no subclasses of it
-_CLASSES = {Development, Sensor, Light, MarineSnow, type(None)}
+_CLASSES = {Development, Sensor, Light, Lamp, View, MarineSnow, type(None)}
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 
@@ -40,8 +41,9 @@ def can(image: Tensor, z: Tensor, setting: Setting) -> bool:
     if z.dtype != torch.float32 or torch.jit.is_tracing():  # type: ignore[attr-defined, no-untyped-call]
         return False
     medium, light, development = setting.medium, setting.light, setting.development
-    classes = {type(development), type(development.noise), type(light), *map(type, medium.snow)}
-    if not classes <= _CLASSES or not _has_its_sums(medium):
+    lamps = () if light is None else getattr(light, "lamps", ())
+    parts = (development, development.noise, light, *lamps, setting.view, *medium.snow)
+    if not set(map(type, parts)) <= _CLASSES or not _has_its_sums(medium):
         return False
     if Tensor in map(type, vars(development).values()):
         return False

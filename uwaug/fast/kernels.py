@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from uwaug._support.types import Array
 from uwaug.fast.gate import inner, kernel
 from uwaug.fast.tables import (
     ENTRY_BITS,
@@ -100,13 +99,6 @@ def exp2(x: Any) -> Any:
 
 
 @inner
-def _log2_sum(e: Any, f: Any) -> Any:
-    """log2(2^e·(1 + f))."""
-    p = _L4 + f * (_L5 + f * (_L6 + f * (_L7 + f * _L8)))
-    return f32(e) + f * (_L0 + f * (_L1 + f * (_L2 + f * (_L3 + f * p))))
-
-
-@inner
 def _split(y: Any) -> Any:
     """Split y = 2^e·m, m from √½ to √2, into e and m."""
     bits = f32(y).view(i32)
@@ -119,7 +111,9 @@ def _split(y: Any) -> Any:
 def log2(y: Any) -> Any:
     """Logarithm to base 2 of positive y."""
     e, m = _split(y)
-    return _log2_sum(e, m - _1)
+    f = m - _1
+    p = _L4 + f * (_L5 + f * (_L6 + f * (_L7 + f * _L8)))
+    return f32(e) + f * (_L0 + f * (_L1 + f * (_L2 + f * (_L3 + f * p))))
 
 
 @inner
@@ -176,6 +170,7 @@ TILE = 256  # px, width of a tile; others take up to half as long again
 # Pixels of which a tile has a multiple; and lines that go through a coarse grid side by side. (16
 # takes 10 to 80 % longer, 64 takes 20 to 40 %.)
 LANES = 32
+_HALVING = (f32(1 / 32), f32(5 / 32), f32(10 / 32))  # see `uwaug.blur.kernels.HALVING`
 # of the development's curves, see `uwaug.formation.development`
 GAMUT_FROM, BEYOND, DARK, TOE = f32(0.75), f32(4), f32(1e-8), f32(1e-4)
 _2, _255 = f32(2), f32(255)
@@ -214,12 +209,11 @@ def copy(d: Any, s: Any) -> None:
 
 
 @inner
-def add_rows(d: Any, plane: Any, rows: Any, c: int, w: Any) -> None:
-    """Add Σ w[i]·plane[rows[i] + c] to `d`; there are 4, 8, … weights."""
+def add_rows(d: Any, plane: Any, rows: Any, w: Any) -> None:
+    """Add Σ w[i]·plane[rows[i]] to `d`; there are 4, 8, … weights."""
     for i in range(0, w.size, 4):
         w0, w1, w2, w3 = w[i], w[i + 1], w[i + 2], w[i + 3]
-        r0, r1 = plane[rows[i] + c], plane[rows[i + 1] + c]
-        r2, r3 = plane[rows[i + 2] + c], plane[rows[i + 3] + c]
+        r0, r1, r2, r3 = plane[rows[i]], plane[rows[i + 1]], plane[rows[i + 2]], plane[rows[i + 3]]
         for x in range(d.size):
             d[x] += (w0 * r0[x] + w1 * r1[x]) + (w2 * r2[x] + w3 * r3[x])
 
@@ -274,19 +268,45 @@ def extend(line: Any, fold: Any, margin: int, width: int, each: int) -> None:
 
 
 @kernel
+def halve(
+    light: Floats, rows: Indices, columns: Indices, half: Floats, start: int, stop: int
+) -> None:
+    """Make rows `start` to `stop` of the half picture of a picture (3xHxW), whose mirrored `rows`
+    and `columns` begin three before the first.
+    """
+    _, _, width = light.shape
+    line = np.zeros(width + 6, np.float32)
+    inside, s = line[3 : 3 + width], line[1:]
+    for c in range(3):
+        plane = light[c]
+        for y in range(start, stop):
+            inside[:] = _0
+            for i in range(3):
+                w, first, last = _HALVING[i], 2 * y + 1 + i, 2 * y + 6 - i
+                above, below = plane[rows[first]], plane[rows[last]]
+                for x in range(width):
+                    inside[x] += w * (above[x] + below[x])
+            extend(line, columns, 3, width, 1)
+            d, (w0, w1, w2) = half[c, y], _HALVING
+            for x in range(d.size):
+                outer, inner = s[2 * x] + s[2 * x + 5], s[2 * x + 1] + s[2 * x + 4]
+                d[x] = w0 * outer + w1 * inner + w2 * (s[2 * x + 2] + s[2 * x + 3])
+
+
+@kernel
 def coarse_lines(
-    light: Floats, grid: Floats, c: CoarseTable, origin: int, start: int, stop: int
+    half: Floats, grid: Floats, c: CoarseTable, origin: int, start: int, stop: int
 ) -> None:
     """Make lines `start` to `stop`, counted from `origin`, of a coarse grid (NxW): shrunk along
     both axes, and enlarged again along rows; `add_enlarged` enlarges them along columns. Line n of
     the whole grid is row n // 3 of channel n % 3.
     """
-    channels, _, width = light.shape
+    channels, _, width = half.shape
     cells, taps = c.across.shape[0], c.down.shape[1]
     # a power of two would share few places of the cache: half as long again at 1024 px
     lines = np.zeros((LANES, width + 24), np.float32)
     flat = np.zeros((width + 2 * c.column_margin) * LANES, np.float32)
-    small = np.zeros(cells * LANES, np.float32)
+    small, wide = np.zeros(cells * LANES, np.float32), np.zeros(grid.shape[1] * LANES, np.float32)
     inside = flat[c.column_margin * LANES : (c.column_margin + width) * LANES]
     for top in range(start, stop, LANES):
         count = min(LANES, stop - top)
@@ -295,12 +315,12 @@ def coarse_lines(
             rows = c.rows[c.down_first[row] : c.down_first[row] + taps]
             line = lines[j, :width]
             line[:] = _0
-            add_rows(line, light[channel], rows, 0, c.down[row])
+            add_rows(line, half[channel], rows, c.down[row])
         to_columns(inside, lines, width)
         extend(flat, c.columns, c.column_margin, width, LANES)
         gather(small, flat, c.across_first, c.across)
-        gather(inside, small, c.back_first, c.back)
-        to_lines(grid, top, count, inside)
+        gather(wide, small, c.back_first, c.back)
+        to_lines(grid, top, count, wide)
 
 
 # ------------------------------------------------------------------------------ lamps
@@ -498,18 +518,17 @@ def meter(
     points: Any,
     water: WaterTable,
     rays: RaysTable,
-    brightness: Floats,
-) -> Array:
-    """Mean light (3x3) at some pixels of a picture of light (3xN), z and metres (N): of the scene,
-    of what arrives without the blur, and of what is positive of that. The indices `points` (M) have
-    no sign, which numba would test. `brightness` (M) is filled with the brightest channel.
+    arriving: Floats,
+) -> None:
+    """Fill `arriving` (3xM) with the light that arrives without the blur at some pixels of a
+    picture of light (3xN), z and metres (N). The indices `points` (M) have no sign, which numba
+    would test.
     """
-    count, means, sums = points.size, np.zeros((3, 3)), np.zeros((9, LANES))
     totals = rows_before(water)
     t, entries = np.zeros((totals + 4) * TILE, f32), np.zeros(TILE, i32)
-    for first in range(0, count, TILE):
-        n = min(TILE, count - first)
-        some = points[first : first + n]
+    for first in range(0, points.size, TILE):
+        some = points[first : first + TILE]
+        n = some.size
         distances, way = tile_row(t, 0), tile_row(t, AT_LAMPS + METRES)
         right, down = tile_row(t, AT_LAMPS), tile_row(t, AT_LAMPS + 1)
         for x in range(n):
@@ -520,29 +539,9 @@ def meter(
             J, total, plane = tile_row(t, LIGHT + c), tile_row(t, totals + c), light[c]
             for x in range(n):
                 J[x] = total[x] = plane[some[x]]
-        for c in range(3):
-            add_lanes(sums[c], tile_row(t, LIGHT + c), False, n)
         arrive(t, totals, water, rays, totals + 3, entries, n)
-        red, green, blue = tile_row(t, totals), tile_row(t, totals + 1), tile_row(t, totals + 2)
-        bright = brightness[first : first + n]
-        for x in range(n):
-            bright[x] = max(red[x], green[x], blue[x])
         for c in range(3):
-            add_lanes(sums[3 + c], tile_row(t, totals + c), False, n)
-            add_lanes(sums[6 + c], tile_row(t, totals + c), True, n)
-    for k in range(9):
-        means[k // 3, k % 3] = sums[k].sum()
-    means /= count
-    return means
-
-
-@inner
-def add_lanes(sums: Any, values: Any, positive: bool, n: int) -> None:
-    """Add values, or what is positive, to `LANES` sums, as one sum would wait for itself."""
-    for first in range(0, n, LANES):
-        part = values[first : min(first + LANES, n)]
-        for x in range(part.size):
-            sums[x] += max(part[x], _0) if positive else part[x]
+            copy(arriving[c, first : first + n], tile_row(t, totals + c)[:n])
 
 
 @inner
@@ -629,19 +628,23 @@ def add_terms(t: Any, z: int, to: int, fraction: int, entries: Any, table: Any, 
 
 
 @inner
-def _polynomials(t: Any, place: int, count: int, n: int) -> None:
-    """Chebyshev polynomials of the place, in the rows after it from T2 on, two at a time."""
+def blur_weights(t: Any, place: int, to: int, series: Any, n: int) -> None:
+    """Weights of the blurs, from the places; the rows after those take Chebyshev polynomials from
+    T2 on, two at a time.
+    """
     v, s = tile_row(t, place), tile_rows(t, place + 1, 2)
     for x in range(n):
         s[x] = _2 * v[x] * v[x] - _1
         s[x + TILE] = _2 * v[x] * s[x] - v[x]
-    for term in range(4, count, 2):
+    for term in range(4, series.shape[1], 2):
         s = tile_rows(t, place + term - 3, 4)
         for x in range(n):
             twice, last = _2 * v[x], s[x + TILE]
             even = twice * last - s[x]
             s[x + 2 * TILE] = even
             s[x + 3 * TILE] = twice * even - last
+    for k in range(series.shape[0]):
+        weigh_series(t, to + k, place, series[k], n)
 
 
 @inner
@@ -664,14 +667,6 @@ def weigh_series(t: Any, to: int, first: int, w: Any, n: int) -> None:
         for x in range(n):
             d[x] += w0 * s[x] + w1 * s[x + TILE]
         i += 2
-
-
-@inner
-def blur_weights(t: Any, place: int, to: int, series: Any, n: int) -> None:
-    """Weights of the blurs, from the places; the rows after those are memory."""
-    _polynomials(t, place, series.shape[1], n)
-    for k in range(series.shape[0]):
-        weigh_series(t, to + k, place, series[k], n)
 
 
 @inner
@@ -802,13 +797,13 @@ def _compression(distance: Any) -> Any:
 
 
 @inner
-def _store(total: Any, srgb: bool, highest: Any, out: Any, out_bytes: Any, n: int) -> None:
+def _store(total: Any, highest: Any, out: Any, out_bytes: Any, n: int) -> None:
     """Encode the light of a tile, and write it to the one of two outputs that has room."""
-    if srgb and highest > _1:
+    if highest > _1:
         for x in range(n):
             value = total[x]
             total[x] = encode_unit(value) if value <= _1 else min(encode(value), highest)
-    elif srgb:
+    elif highest > _0:
         for x in range(n):
             total[x] = encode_unit(total[x])
     copy(out, total[: out.size])
@@ -857,7 +852,6 @@ def render_rows(
     normals: Floats,
     begins: Indices,
     development: DevelopmentTable,
-    srgb: bool,
     highest: Any,
     out: Floats,
     out_bytes: Bytes,
@@ -873,12 +867,12 @@ def render_rows(
         grid (NxW), starts (m): lines of all coarse grids; the index at which those of each would
             start if they were whole.
         normals (N or 0), begins (3xH): of the sensor's noise; index of the first for each row.
-        srgb, highest: True to encode; the largest value then.
+        highest: largest sRGB value; 0 for linear light.
         out, out_bytes (3xHxW): one takes the result; the other is 3x1x0.
     """
     _, _, width = light.shape
     count, terms = stack.series.shape
-    narrow, wide, margin = stack.taps.shape[0], stack.back.shape[0], stack.margin
+    narrow, wide, margin = stack.taps.shape[0], stack.back.shape[0], stack.taps.shape[1] - 1
     padded = -(-width // TILE) * TILE + 2 * margin + 2
     lines = np.zeros((narrow * 3 + 1, padded), np.float32)
     # rows of a tile: shares, totals, place and terms of a series, fractions between entries of a
@@ -937,4 +931,4 @@ def render_rows(
             for c in range(3):
                 floats = out[c, y % out.shape[1], left:right]
                 whole = out_bytes[c, y % out_bytes.shape[1], left:right]
-                _store(tile_row(t, totals + c), srgb, highest, floats, whole, n)
+                _store(tile_row(t, totals + c), highest, floats, whole, n)

@@ -98,24 +98,25 @@ def form(
         plan = demand_of(brightest.brightened(gains), law, ends, tolerance).plan(size, shared=True)
     blurs = plan_table(plan, size)
     widths = [places_table(weights.row(n), plan, ends) for n in range(len(waters))]
-    normals, begins, developments = _camera(development, gains, batch, size)
-    highest = np.ones(batch, np.float32)
-    if srgb and high > 1:
+    highest = np.full(batch, srgb, np.float32)
+    if high > 1:
         highest *= torch.as_tensor(headroom(image)).float().flatten().numpy()
+    normals, begins, developments = _camera(development, gains, batch, size)
     layers = _snow(setting, z, z if metres is None else metres, batch)
     kind = torch.uint8 if image.dtype == torch.uint8 else torch.float32
     result = torch.empty(batch, 3, *size, dtype=kind, device="cpu")
     rows: Any = scenes, layers, _each(widths, batch), begins, _each(developments, batch), highest
     pictures = list(zip(*rows, result.numpy(), strict=True))
+    halves = [_half(scene.light, blurs) for scene in scenes[: len(J)]]
     step = max(_BAND // size[1], 64)
     for first in range(0, size[0], step):
         lines = range(first, min(first + step, size[0]))
         for n, (scene, layer, width, begin, table, most, out) in enumerate(pictures):
             if n == 0 or len(J) > 1:  # one picture in several waters is blurred once
-                grid, starts = _coarse_grids(scene.light, blurs, lines)
+                grid, starts = _coarse_grids(halves[n], blurs, size[1], lines)
             inputs: Any = (
                 *(scene.light, scene.z, scene.metres, layer, scene.water, scene.rays),
-                *(width, blurs.stack, grid, starts, normals, begin, table, srgb, most),
+                *(width, blurs.stack, grid, starts, normals, begin, table, most),
                 *((_NO_FLOATS, out) if out.dtype == np.uint8 else (out, _NO_BYTES)),
             )
             _in_bands(partial(kernels.render_rows, *inputs), lines, size[1])
@@ -176,12 +177,14 @@ def _gains(scenes: Sequence[_Scene], development: Development) -> Array:
     for scene in scenes:
         height, width = scene.z.shape
         points = _points(height, width)
-        brightness = np.empty(len(points), np.float32)
-        maps = scene.light.reshape(3, -1), scene.z.reshape(-1), scene.metres.reshape(-1)
-        inputs: Any = (*maps, width, points, scene.water, scene.rays, brightness)
-        means = kernels.meter(*inputs)
+        arriving = np.empty((3, len(points)), np.float32)
+        light, maps = scene.light.reshape(3, -1), (scene.z.reshape(-1), scene.metres.reshape(-1))
+        inputs: Any = (light, *maps, width, points, scene.water, scene.rays, arriving)
+        kernels.meter(*inputs)
+        values = np.stack([light[:, points], arriving, np.maximum(arriving, 0)])
+        means = values.mean(2, dtype=np.float64)
         burnt = round(BURNT * METERED)
-        highlight = float(np.partition(brightness, -burnt)[-burnt])
+        highlight = float(np.partition(arriving.max(0), -burnt)[-burnt])
         matrices.append(gain_at(means, highlight, *camera, *colour))
     return np.stack(matrices)
 
@@ -237,16 +240,29 @@ def _light_of_bytes(srgb: bool) -> Floats:
     return np.asarray(table[0])
 
 
-def _coarse_grids(light: Floats, table: PlanTable, rows: range) -> tuple[Floats, Indices]:
+def _half(light: Floats, table: PlanTable) -> Floats:
+    """The half picture, which coarse grids read; nothing if there are none."""
+    if not table.coarse:
+        return _NO_FLOATS
+    height, width = (-(-side // 2) for side in light.shape[-2:])
+    half = np.empty((3, height, width), np.float32)
+    run = partial(kernels.halve, light, table.half_rows, table.half_columns, half)
+    _in_bands(run, range(height), 2 * light.shape[-1])
+    return half
+
+
+def _coarse_grids(
+    half: Floats, table: PlanTable, width: int, rows: range
+) -> tuple[Floats, Indices]:
     """Lines of all coarse grids that some rows of a picture need; where whole ones would start."""
-    width, first = light.shape[-1], table.stack.back_first
+    first = table.stack.back_first
     low, high = 3 * first[:, rows.start], 3 * (first[:, rows.stop - 1] + 4)
     counts = high - low
     places = np.cumsum(counts) - counts
     grid = np.empty((int(counts.sum()), width), np.float32)
     for k, (origin, count, place) in enumerate(zip(low, counts, places, strict=True)):
         lines, coarse = grid[place : place + count], table.coarse[k]
-        run = partial(kernels.coarse_lines, light, lines, coarse, int(origin))
+        run = partial(kernels.coarse_lines, half, lines, coarse, int(origin))
         _in_bands(run, range(count), width, kernels.LANES)
     return grid, places - low
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from uwaug._support.cache import Cache
 from uwaug._support.types import Array
 from uwaug.blur.banded import Kind, Node, mirrored, whole
-from uwaug.blur.kernels import blur_kernel
+from uwaug.blur.kernels import HALVING, blur_kernel
 from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
 from uwaug.light.backscatter import ASYMMETRY, NODE_WEIGHTS, NODES
 from uwaug.light.direction import MAX_RISE, RISE
@@ -28,7 +28,7 @@ Indices = NDArray[np.int64]
 class CoarseTable(NamedTuple):
     """One coarse grid of h cells by w, for pictures of HxW."""
 
-    rows: Indices  # of the picture, mirrored, from as many before the first as cells need
+    rows: Indices  # of the half picture, mirrored, from as many before the first as cells need
     down_first: Indices  # (h) place in `rows` of the first for each cell
     down: Floats  # (h, taps) weights
     columns: Indices  # this and the next three: the same along rows
@@ -37,6 +37,8 @@ class CoarseTable(NamedTuple):
     across: Floats
     back_first: Indices  # (W) the first cell of each column
     back: Floats  # (W, 4) weights
+    row_first: Indices  # (H) the first cell of each row
+    row_back: Floats  # (H, 4)
 
 
 class StackTable(NamedTuple):
@@ -45,8 +47,7 @@ class StackTable(NamedTuple):
     series: Floats  # (K, N) weights of the blurs, as Chebyshev series
     taps: Floats  # (n, reach + 1) middle weight and one half of each narrow blur
     pairs: Indices  # (n) how many weights of each half are used, an even number
-    margin: int  # px that the widest narrow blur reaches
-    rows: Indices  # in the picture, mirrored, from `margin` before the first
+    rows: Indices  # in the picture, mirrored, from as many before the first as taps reach
     columns: Indices
     back_first: Indices  # (m, H) the first cell of each row on each grid
     back: Floats  # (m, H, 4) weights
@@ -56,6 +57,8 @@ class PlanTable(NamedTuple):
     """A plan for pictures of one size."""
 
     stack: StackTable
+    half_rows: Indices  # in the picture, mirrored, from as many before the first as halving needs
+    half_columns: Indices
     coarse: tuple[CoarseTable, ...]
 
 
@@ -64,6 +67,9 @@ class DistanceTable(NamedTuple):
 
     first: np.int32  # bits of the first distance, m, in single precision
     rows: Floats  # (NxE, or Nx0) values at E distances
+
+
+_NOTHING = DistanceTable(np.int32(0), np.zeros((1, 0), np.float32))
 
 
 class DevelopmentTable(NamedTuple):
@@ -130,8 +136,7 @@ class RaysTable(NamedTuple):
 # ------------------------------------------------------------------------------ plans
 
 _PLANS: Cache[PlanTable] = Cache(8 * 2**20)
-# coarse grids, with `back_first` and `back` of rows: 8 MiB or so for each size in random water
-_GRIDS: Cache[tuple[CoarseTable, Indices, Floats]] = Cache(32 * 2**20)
+_GRIDS: Cache[CoarseTable] = Cache(32 * 2**20)  # 8 MiB or so for each size in random water
 
 
 def plan_table(plan: BlurPlan, size: Size) -> PlanTable:
@@ -168,20 +173,22 @@ def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
         series=series,
         taps=taps,
         pairs=np.array([_pairs(node) for node in narrow], np.int64),
-        margin=margin,
-        rows=_mirrored(margin, height),
-        columns=_mirrored(margin, width),
-        back_first=np.array([first for _, first, _ in grids], np.int64).reshape(-1, height),
-        back=np.array([back for *_, back in grids], np.float32).reshape(-1, height, 4),
+        rows=_mirrored(margin, 2 * height),
+        columns=_mirrored(margin, 2 * width),
+        back_first=np.array([grid.row_first for grid in grids], np.int64).reshape(-1, height),
+        back=np.array([grid.row_back for grid in grids], np.float32).reshape(-1, height, 4),
     )
-    return PlanTable(stack, tuple(grid for grid, *_ in grids))
+    rows, columns = (_mirrored(len(HALVING) // 2, 2 * side) for side in size)
+    return PlanTable(stack, rows, columns, tuple(grids))
 
 
-def _grid(node: Node, size: Size) -> tuple[CoarseTable, Indices, Floats]:
-    """A blur on a coarse grid for pictures of one size; first cell and weights of their rows."""
+def _grid(node: Node, size: Size) -> CoarseTable:
+    """A blur on a coarse grid for pictures of one size."""
     grid = _GRIDS.get((node, size))
     if grid is None:
-        grid = _coarse_table(node, *size), *_rows_of("enlarge", node, size[0])
+        rows, _, first, down = _shrinking(node, size[0])
+        backs = (*_rows_of("enlarge", node, size[1]), *_rows_of("enlarge", node, size[0]))
+        grid = CoarseTable(rows, first, down, *_shrinking(node, size[1]), *backs)
         _GRIDS.put((node, size), grid, _bytes(grid))
     return grid
 
@@ -202,18 +209,12 @@ def _taps(nodes: list[Node]) -> Floats:
     return taps
 
 
-def _coarse_table(node: Node, height: int, width: int) -> CoarseTable:
-    rows, _, down_first, down = _shrinking(node, height)
-    along_rows = *_shrinking(node, width), *_rows_of("enlarge", node, width)
-    return CoarseTable(rows, down_first, down, *along_rows)
-
-
 def _shrinking(node: Node, size: int) -> tuple[Indices, int, Indices, Floats]:
     """Mirrored places of an axis, and how many of them lie before it; for each cell the first of
     its places, and the weights.
     """
     first, weights = _rows_of("shrink", node, size)
-    margin = max(0, -int(first.min()), int(first.max()) + weights.shape[1] - size)
+    margin = max(0, -int(first.min()), int(first.max()) + weights.shape[1] - -(-size // 2))
     return _mirrored(margin, size), margin, first + margin, weights
 
 
@@ -221,7 +222,7 @@ def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
     """First column and weights of every row of a matrix, folded at the ends; 4, 8, … weights."""
     matrix = whole(kind, size, node)
     kernels = matrix.kernels
-    if kernels.taps > size and kernels.reflects:
+    if 0 < matrix.turn < 2 * kernels.taps:
         first, dense = matrix.slab(0, matrix.rows)
         dense = np.pad(dense, ((0, 0), (0, -dense.shape[1] % 4)))
         return np.full(matrix.rows, first), dense.astype(np.float32)
@@ -230,9 +231,9 @@ def _rows_of(kind: Kind, node: Node, size: int) -> tuple[Indices, Floats]:
     return kernels.starts(0, matrix.rows), weights.astype(np.float32)
 
 
-def _mirrored(margin: int, size: int) -> Indices:
-    """Places on an axis, half-sample symmetric, from `margin` before its start on."""
-    return mirrored(np.arange(-margin, size + margin), size)
+def _mirrored(margin: int, turn: int) -> Indices:
+    """Places on an axis, see `mirrored`, and `margin` more at both ends."""
+    return mirrored(np.arange(-margin, (turn + 1) // 2 + margin), turn)
 
 
 # ------------------------------------------------------------------------------ media
@@ -255,7 +256,7 @@ def medium_table(row: Weights) -> MediumTable:
 def places_table(row: Weights, plan: BlurPlan, ends: tuple[float, float]) -> DistanceTable:
     """Places (−1…1) of the blur's widths, px, in a plan; without entries if it has one width."""
     if len(plan.sigmas) == 1:
-        return DistanceTable(np.int32(0), np.zeros((1, 0), np.float32))
+        return _NOTHING
     slope, offset = place_line(plan)
 
     def places(z: Array) -> Array:
@@ -269,7 +270,7 @@ def places_table(row: Weights, plan: BlurPlan, ends: tuple[float, float]) -> Dis
 def terms_table(medium: Medium, z: Floats) -> DistanceTable:
     """Light (3) of a medium's further terms by distance; without entries if there are none."""
     if not medium.further_terms(_AT_LENS):
-        return DistanceTable(np.int32(0), np.zeros((3, 0), np.float32))
+        return _NOTHING
 
     def light(z: Array) -> Array:
         at, total = torch.from_numpy(z)[None, None, None], np.zeros((3, len(z)))

@@ -64,7 +64,9 @@ def in_waters(waters: Sequence[Water], scene: Scene) -> Underwater:
     media = Medium.stack(
         Medium.from_water(water, vertical_depth=_DEPTH_M, surfaces="spectral") for water in waters
     )
-    return Underwater(media, None, development=Development("auto", gamut=1.0), view=scene.view)
+    return Underwater(
+        media, None, development=Development(metered=True, gamut=1.0), view=scene.view
+    )
 
 
 def sheet_of(scene: Scene, cells: Sequence[Cell], heading: str, caption: str) -> Image.Image:
@@ -120,9 +122,8 @@ def draw_terms(scene: Scene, case: Case) -> Image.Image:
 def _distance(z: Tensor) -> Cell:
     near, far = extent(z[z.isfinite()])
     beyond = "" if bool(z.isfinite().all()) else ", open water"
-    return coloured(z, (near, max(far, near + 1e-3))), (
-        f"z   {near:.3g} m (yellow) to {far:.3g} m{beyond} (violet)"
-    )
+    words = f"z   {near:.3g} m (yellow) to {far:.3g} m{beyond} (violet)"
+    return coloured(z, (near, max(far, near + 1e-3))), words
 
 
 def _curves(medium: Medium, farthest: float) -> Tensor:

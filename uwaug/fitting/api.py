@@ -12,13 +12,8 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.threads import one_thread
 from uwaug._support.types import ColorSpace
-from uwaug.fitting.choose import (
-    FittedModel,
-    best_of,
-    cross_validated,
-    one_standard_error_rule,
-    result_of,
-)
+from uwaug.fitting import choose
+from uwaug.fitting.choose import FittedModel
 from uwaug.fitting.data import Geometry, Pictures
 from uwaug.fitting.encoded import encoded_haze_notes
 from uwaug.fitting.model import COLOURS, EXPONENTS, MODELS, NARROW_PX, CoefficientModel
@@ -53,10 +48,8 @@ def fit(
     """Recover a water from pictures of one scene without it and in it.
 
     Args:
-        clean (3xHxW or Bx3xHxW tensor): the scene without water; uint8 (0…255) or floating point
-            (0…1). One serves all observed pictures.
-        observed (as clean): the scene in the water, aligned with `clean` to the pixel; several
-            pictures are of one water and one exposure.
+        clean (3xHxW or Bx3xHxW tensor): the scene without water; uint8 or 0…1; one serves all.
+        observed (as clean): the scene in one water and exposure, aligned with `clean` to the pixel.
         distance (1xHxW or Bx1xHxW tensor): metres along the ray; pixels that are NaN, 0 or
             negative do not count; +inf is open water.
         model: "haze" (direct light and veil, one coefficient), "veil" (a coefficient for each), or
@@ -69,11 +62,10 @@ def fit(
             the scene, if left-out pixels are predicted better with it. "fixed": there is none.
         color_space: "srgb": values are decoded to linear light. "linear": they are taken as is.
         jpeg: quality, 1…100, of the JPEG file that `observed` was; its loss then counts as error.
-            Numbers that rest on fine detail, β and the blur, are far off in such a picture.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
-        seed: seed of the choice of pixels and of random starts.
-        progress: True: print on stderr what a fit that takes longer than a second is doing; False:
-            print nothing; or a function that is called with each such line.
+        seed: of the choice of pixels and of random starts.
+        progress: True prints on stderr what a fit of more than a second is doing; False nothing; or
+            a function that is called with each such line.
 
     Raises:
         TypeError, ValueError: if an input does not suit; if fewer than 50 pixels can be used, the
@@ -115,27 +107,27 @@ def fit(
             if solution is None or any(x.solution.cost < solution.cost for x in candidates):
                 hints = [x.numbers for x in candidates[-1:]]
                 solution = multistart(objective, hints, seed)
-            candidates.append(cross_validated(objective, solution, seed))
-        winner = one_standard_error_rule(candidates)
+            candidates.append(choose.cross_validated(objective, solution, seed))
+        winner = choose.one_standard_error_rule(candidates)
         if winner.model.gain:
             say("fitting without a gain")
             objective = Objective(replace(winner.model, gain=False), weighed)
             solution = multistart(objective, [winner.numbers], seed)
-            candidates.append(cross_validated(objective, solution, seed))
-            winner = one_standard_error_rule([winner, candidates[-1]])
+            candidates.append(choose.cross_validated(objective, solution, seed))
+            winner = choose.one_standard_error_rule([winner, candidates[-1]])
         first = _model_notes(winner, candidates)
         if color_space == "srgb":
             say("trying encoded values")
             first += encoded_haze_notes(winner, gain == "free", seed)
-        best = winner.model
-        medium = best.medium(best.coefficients(winner.solution.theta))
+        medium = winner.model.medium(winner.model.coefficients(winner.solution.theta))
         setting = Setting(medium, color_space=color_space)
-        result = result_of(winner, candidates, best.spec.name, setting, pictures)
-    return replace(result, notes=(*first, *result.notes, *_doubts(winner, result.parameters)))
+        result = choose.result_of(winner, candidates, setting, pictures)
+    notes = (*first, *result.notes, *_doubts(winner, result.parameters))
+    return replace(result, model=winner.model.spec.name, notes=notes)
 
 
 def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progress:
-    """Check options; returns the function that tells the progress."""
+    """Check options; the function that tells the progress."""
     checks.within("pixels", pixels, *_PIXEL_COUNTS)
     checks.within("seed", seed, 0)
     if callable(progress):
@@ -153,16 +145,13 @@ def _models(
     name: str, geometry: Geometry, fixed: Mapping[str, float], *, gain: bool
 ) -> list[CoefficientModel]:
     """The models of a name, or all for "auto", that have a place for every fixed number."""
-    if not isinstance(fixed, Mapping):
-        raise TypeError(f"fixed must be a dict of numbers, got {type(fixed).__name__}")
     specs = [MODELS[name]] if name in MODELS else list(MODELS.values())
     if name == "auto" and geometry.widest <= NARROW_PX:
         specs = [spec for spec in specs if spec.shape is None]
     candidates = [CoefficientModel(spec, geometry, gain, {}) for spec in specs]
     models = [x for x in candidates if set(fixed) <= set(x.fixable)]
     if not models:
-        names = ", ".join(candidates[-1].fixable)
-        raise ValueError(f"fixed: expected some of {names}, got {', '.join(map(str, fixed))}")
+        raise ValueError(f"fixed: expected some of {candidates[-1].fixable}, got {[*fixed]}")
     for key, value in fixed.items():
         low = EXPONENTS[0] if key == "exponent" else 0.0
         high = {"width": geometry.widest, "exponent": EXPONENTS[1]}.get(key, _MAX_FIXED)
@@ -171,8 +160,7 @@ def _models(
         beta, G = fixed.get(f"beta_{colour}"), fixed.get(f"G_{colour}")
         if beta is not None and G is not None and beta < G:
             models = [x for x in models if x.spec.shape is None]
-    numbers = {key: float(value) for key, value in fixed.items()}
-    models = [x for x in (replace(x, fixed=numbers) for x in models) if x.bounds]
+    models = [x for x in (replace(x, fixed=dict(fixed)) for x in models) if x.bounds]
     if not models:
         raise ValueError(f"fixed: leaves nothing that may be fitted, got {dict(fixed)}")
     return models
@@ -181,7 +169,7 @@ def _models(
 def _model_notes(
     winner: FittedModel[CoefficientModel], candidates: Sequence[FittedModel[CoefficientModel]]
 ) -> list[str]:
-    best, reason, warning = best_of(candidates), "", ""
+    best, reason, warning = choose.best_of(candidates), "", ""
     if best is not winner:
         reason = f" The fewest numbers within one standard error of the best, {best.model.name!r}."
     elif len(candidates) > 1:
@@ -196,7 +184,6 @@ def _model_notes(
 
 
 def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Parameter]) -> list[str]:
-    """Sentences on what the numbers do not say by themselves."""
     model, theta = winner.model, winner.solution.theta
     c, geometry, sentences = model.coefficients(theta), model.geometry, []
     if model.spec.shape is None:

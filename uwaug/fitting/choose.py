@@ -23,25 +23,20 @@ _FOLD_STEPS = 6  # largest number of steps of a fit without a fold
 
 @dataclass(frozen=True, eq=False)
 class FittedModel(Generic[M]):
-    """A candidate after its fit."""
-
     objective: Objective[M]
     solution: Solution
     losses: Array  # summed loss of each block of the picture
 
     @property
     def model(self) -> M:
-        """The fitted model."""
         return self.objective.model
 
     @property
     def numbers(self) -> dict[str, float]:
-        """θ by name."""
         return dict(zip(self.model.bounds, self.solution.theta.tolist(), strict=True))
 
     @property
     def loss(self) -> float:
-        """Summed loss of all blocks."""
         return float(self.losses.sum())
 
     def behind(self, other: "FittedModel[M]") -> tuple[float, float]:
@@ -71,7 +66,6 @@ class FittedModel(Generic[M]):
 def result_of(
     winner: FittedModel[M],
     candidates: Sequence[FittedModel[M]],
-    name: str,
     setting: Setting,
     pictures: Pictures,
 ) -> Fit:
@@ -87,11 +81,11 @@ def result_of(
     for x in candidates:
         count = int((x.objective.pixels.weights > 0).sum())
         error = float(np.sqrt(x.loss / max(count, 1)))
-        theta, values = x.solution.theta, x.model.shown(x.solution.theta)
-        fields = (x.model.name, len(theta), error, *x.behind(best), x is winner, values)
-        rows.append(Candidate(*fields))
+        theta = x.solution.theta
+        numbers_of = len(theta), error, *x.behind(best), x is winner, x.model.shown(theta)
+        rows.append(Candidate(x.model.name, *numbers_of))
     return Fit(
-        model=name,
+        model=winner.model.name,
         parameters=numbers,
         covariance=matrix,
         setting=setting,
@@ -106,7 +100,6 @@ def result_of(
 
 
 def best_of(candidates: Sequence[FittedModel[M]]) -> FittedModel[M]:
-    """The candidate of the least loss."""
     return min(candidates, key=lambda candidate: candidate.loss)
 
 
@@ -114,20 +107,15 @@ def one_standard_error_rule(candidates: Sequence[FittedModel[M]]) -> FittedModel
     """The candidate with the fewest numbers, of those whose held-out loss is within one standard
     error, of the difference, of the least (Breiman et al. 1984).
     """
-    best = best_of(candidates)
-    equals = []
-    for candidate in candidates:
-        excess, error = candidate.behind(best)
-        if excess <= max(error, _CHANCE_LOSS):
-            equals.append(candidate)
+    excesses = [x.behind(best_of(candidates)) for x in candidates]
+    pairs = zip(candidates, excesses, strict=True)
+    equals = [x for x, (excess, error) in pairs if excess <= max(error, _CHANCE_LOSS)]
     return min(equals, key=lambda candidate: (len(candidate.solution.theta), candidate.loss))
 
 
 def block_losses(objective: Objective[M], theta: Array) -> Array:
-    """Summed loss of each block of the picture."""
-    blocks = objective.pixels.blocks_of_values
-    losses: Array = np.bincount(blocks, weights=loss(objective.residual(theta))).astype(float)
-    return losses
+    losses = loss(objective.residual(theta))
+    return np.asarray(np.bincount(objective.pixels.blocks_of_values, weights=losses), dtype=float)
 
 
 def cross_validated(objective: Objective[M], solution: Solution, seed: int) -> FittedModel[M]:

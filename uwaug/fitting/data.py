@@ -25,6 +25,7 @@ from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import blurred, mixed, node_weights
 from uwaug.formation.colour import decoded, encoded, require_values
 from uwaug.formation.image import form
+from uwaug.formation.inputs import batch_sizes
 from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
 
@@ -80,28 +81,15 @@ class Pictures:
         checks.one_of("color_space", color_space, get_args(ColorSpace))
         if jpeg is not None:
             checks.within("jpeg", jpeg, 1, 100)
-        tensors = {"observed": observed, "distance": distance}
-        if clean is not None:
-            tensors["clean"] = clean
-        for name, tensor in tensors.items():
-            is_bytes = isinstance(tensor, Tensor) and tensor.dtype == torch.uint8
-            if name == "distance" or not is_bytes:
-                checks.floating(name, tensor)
-            checks.picture(name, tensor, 1 if name == "distance" else 3)
-            if tensor.shape[-2:] != observed.shape[-2:]:
-                size, expected = tuple(tensor.shape[-2:]), tuple(observed.shape[-2:])
-                raise ValueError(f"{name} is {size} but observed is {expected}: align them")
-        batches = {name: x if x.ndim == 4 else x[None] for name, x in tensors.items()}
-        checks.batches({name: len(x) for name, x in batches.items()})
+        checks.batches(batch_sizes(observed=observed, distance=distance, clean=clean))
         checks.metres("distance", distance)
-        wet = _light(batches["observed"], color_space, "observed")
+        wet = _light(observed, color_space, "observed")
         dry = torch.zeros_like(wet[:1])
         if clean is not None:
-            dry = _light(batches["clean"], color_space, "clean")
+            dry = _light(clean, color_space, "clean")
             if float((dry - wet).abs().mean()) <= _SAME_PICTURE * float(dry.mean()):
-                cure = "give the same scene without water and in it"
-                raise ValueError(f"clean and observed are the same picture: {cure}")
-        z = batches["distance"].detach().cpu().double()
+                raise ValueError("clean and observed are the same picture")
+        z = (distance if distance.ndim == 4 else distance[None]).detach().cpu().double()
         usable = z > 0
         clips = color_space == "srgb" or bool(wet.min() >= 0 and wet.max() <= 1)
         if clips:
@@ -123,7 +111,6 @@ class Pictures:
 
     @cached_property
     def geometry(self) -> Geometry:
-        """Distances and sizes."""
         quantiles = (_NEAR_QUANTILE, 0.5, _FAR_QUANTILE)
         nearest, reference, farthest = np.quantile(self.z[self.finite].numpy(), quantiles).tolist()
         size = (self.z.shape[-2], self.z.shape[-1])
@@ -186,19 +173,13 @@ class Pictures:
     def _require_usable(self) -> None:
         usable = int(self.finite.sum())
         if usable < _MIN_PIXELS:
-            losses = {
-                "lie in open water": self.z >= FARTHEST,
-                "are saturated": (self.observed >= 1).any(1),
-                "are black in observed": (self.observed <= 0).all(1),
-            }
-            counts = ", ".join(f"{int(mask.sum())} {reason}" for reason, mask in losses.items())
-            got = f"only {usable} of {self.z.numel()} pixels can be used ({counts})"
-            raise ValueError(f"{got}, expected {_MIN_PIXELS}: their distance known, and unclipped")
+            got = f"only {usable} of {self.z.numel()} pixels can be used, expected {_MIN_PIXELS}"
+            raise ValueError(f"{got}: neither open water nor black or white, their distance known")
         z = self.z[self.usable].numpy()
         low, high = np.quantile(z, (0.02, 0.98))
         if high - low < _MIN_SPAN * float(np.median(z[z < FARTHEST])):
-            cure = "β, G and veil need a scene with depth, or pictures at several distances"
-            raise ValueError(f"distance is flat: all pixels lie at {low:.4g}–{high:.4g} m; {cure}")
+            got = f"distance is flat: all pixels lie at {low:.4g}–{high:.4g} m"
+            raise ValueError(f"{got}: give a scene with depth, or pictures at several distances")
 
 
 class Stack:
@@ -218,8 +199,6 @@ class Stack:
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """N pixels of all pictures."""
-
     clean: Tensor  # 1x3x1xN: linear light, float64
     observed: Tensor
     z: Tensor  # 1x1x1xN: m
@@ -231,22 +210,20 @@ class Pixels:
 
     @property
     def blocks_of_values(self) -> Places:
-        """Number of the block of each of the 3·N values."""
         return np.tile(self.blocks, 3)
 
     def subsample(self, count: int, seed: "int | np.random.Generator") -> "Pixels":
-        """A random `count` of the pixels; all if there are no more."""
         n = self.z.shape[-1]
         if count >= n:
             return self
         places = np.random.default_rng(seed).choice(n, count, replace=False)
         names = ("clean", "observed", "z", "weights", "places", "blocks")
         values: dict[str, Any] = {name: getattr(self, name)[..., places] for name in names}
-        stacks = {
+        values["stacks"] = {
             shape: Stack(stack.plan, [blur[..., places] for blur in stack.blurs])
             for shape, stack in self.stacks.items()
         }
-        return replace(self, **values, stacks=stacks)
+        return replace(self, **values)
 
 
 def blocks_of(places: Sequence[Places], size: tuple[int, int]) -> Places:
@@ -280,7 +257,7 @@ def _through_jpeg(values: Tensor, quality: int) -> Tensor:
 
 
 def _light(picture: Tensor, color_space: ColorSpace, name: str) -> Tensor:
-    picture = picture.detach().cpu()
+    picture = (picture if picture.ndim == 4 else picture[None]).detach().cpu()
     require_values(picture, color_space, name)
     return decoded(picture, color_space).double()
 

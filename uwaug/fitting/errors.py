@@ -11,12 +11,11 @@ from torch import Tensor
 
 from uwaug._support.types import Array
 from uwaug.fitting.data import Places
-from uwaug.fitting.model import Model, Quantity, report_slopes
+from uwaug.fitting.model import NORMAL, Model, Quantity, report_slopes
 from uwaug.fitting.result import Parameter, Remainder
 from uwaug.fitting.solve import M, Objective, Solution, influence
 from uwaug.optics.curves import FARTHEST
 
-NORMAL = 1.96  # standard errors to either end of a 95 % interval
 # Standard error, as a share of the number at either end of its interval, above which the number is
 # not identified, unless the error is less than what shows in a picture.
 #

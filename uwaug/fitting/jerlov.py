@@ -66,12 +66,10 @@ class TypeModel(Model):
 
     @property
     def name(self) -> str:
-        """Name of the type, and how its surfaces are taken."""
         return f"{self.water.name}, {self.surfaces}"
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
-        """As of `Model`."""
         invisible = math.exp(-MAX_OPTICAL_DEPTH)
         opaque = max(self.water.contents_for(invisible, self.geometry.reference), 1.0)
         low, high = math.log(_MIN_CONTENTS), math.log(min(opaque, _MAX_CONTENTS))
@@ -81,14 +79,12 @@ class TypeModel(Model):
         return bounds | {"gain": Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)}
 
     def numbers(self, theta: Array) -> dict[str, float]:
-        """Contents, vertical depth [m] and gain."""
         numbers = dict(zip(self.bounds, theta.tolist(), strict=True))
         depth = max(numbers.get("vertical_depth", self.depth) or 0.0, 0.0)
         factors = {name: math.exp(numbers[name]) for name in ("contents", "gain")}
         return {**factors, "vertical_depth": depth}
 
     def water_of(self, theta: Array) -> Water:
-        """The type with these contents."""
         return self.water.with_contents(self.numbers(theta)["contents"])
 
     def medium(self, theta: Array, tolerance: float = 0.0) -> Medium:
@@ -107,14 +103,12 @@ class TypeModel(Model):
         return medium.brightened(torch.tensor([numbers["gain"]], dtype=torch.float64))
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
-        """Pixels (1x3x1xN) in linear light."""
         medium = self.medium(theta).in_pixels(pixels.size, self.view)
         soft = pixels.stacks[self.point_spread.shape].softened(medium.width(pixels.z))
         return medium.image(pixels.z, pixels.clean, soft)
 
     @property
     def quantities(self) -> list[Quantity]:
-        """The reported quantities."""
         return [
             Quantity("visibility", "m", 0.0, "contents"),
             Quantity("contents", "1", 0.05, "contents"),
@@ -123,12 +117,10 @@ class TypeModel(Model):
         ]
 
     def report(self, theta: Array) -> Array:
-        """As of `Model`."""
         numbers = self.numbers(theta) | self.shown(theta)
         return np.array([numbers[quantity.name] for quantity in self.quantities])
 
     def shown(self, theta: Array) -> dict[str, float]:
-        """Visibility and vertical depth, m."""
         depth = self.numbers(theta)["vertical_depth"]
         return {"visibility": self.water_of(theta).visibility(), "vertical_depth": depth}
 
@@ -154,8 +146,7 @@ def fit_water(
     """Find the Jerlov type of a scene's water, its contents and its vertical depth.
 
     All ten types are fitted, by spectra of water and camera; the one with the smallest residual is
-    named if what it leaves is noise. Defaults are those of `Medium.from_water`; a draw of
-    `uwaug.RandomUnderwater` has a mu of its own, which its record says.
+    named if what it leaves is noise.
 
     Args:
         clean, observed, distance, color_space, jpeg, seed, progress: as of `uwaug.fit`.
@@ -163,10 +154,9 @@ def fit_water(
         surfaces: "spectral" or "grey", as of `Medium.from_water`; "auto": what explains the
             picture better.
         vertical_depth: depth of the scene below the surface, m; None: it is fitted, 0…30 m.
-        point_spread: width law; None: `PointSpread.calibrated`. Pictures by the paper's model need
-            `PointSpread.paper()`, g = .2 and grey surfaces.
+        point_spread: width law; None: `PointSpread.calibrated`.
         view: of the camera, a `uwaug.View` or its angle in degrees.
-        pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
+        pixels: number of pixels to fit, 500…100 000.
 
     Returns:
         The fit: its `model` is the type, or "no Jerlov type". Numbers are visibility [m], contents
@@ -186,9 +176,6 @@ def fit_water(
         '5C'
     """
     say = checked_options(pixels, seed, progress)
-    checks.within("g", g, *checks.DOMAIN["g"])
-    if mu is not None:
-        checks.within("mu", mu, *checks.DOMAIN["mu"])
     camera = load_camera(camera)
     checks.one_of("surfaces", surfaces, (*get_args(Surfaces), "auto"))
     if vertical_depth is not None:
@@ -229,7 +216,7 @@ def fit_water(
         model, theta = winner.model, winner.solution.theta
         medium = model.medium(theta, _RESULT_TOLERANCE)
         setting = Setting(medium, view=view, color_space=color_space)
-        result = result_of(winner, candidates, model.name, setting, pictures)
+        result = result_of(winner, candidates, setting, pictures)
     return replace(
         result,
         model=model.water.name if result.adequate else "no Jerlov type",
@@ -239,31 +226,27 @@ def fit_water(
 
 
 def _notes(result: Fit, model: TypeModel) -> list[str]:
-    """Sentences on the type, or on what is known where none explains the picture."""
-    view = f"a view {model.view.angle(model.geometry.size[1]):.3g}° wide (--view, --focal-px)"
-    given = (
-        f"Camera, g, μ, {view}, {model.surfaces} surfaces and a linear camera are taken for known."
+    degrees = model.view.angle(model.geometry.size[1])
+    residual = (
+        f"The residual is {result.rms:.2g} RMS of linear light. Camera, g, μ, {model.surfaces} "
+        f"surfaces and a view {degrees:.3g}° wide (--view, --focal-px) are taken for known."
     )
-    residual = f"The residual is {result.rms:.2g} RMS of linear light. {given}"
     if result.adequate:
         equals = [x.name for x in result.candidates[1:] if x.behind <= x.behind_error]
-        comparison = "All others explain the picture worse by more than one standard error."
-        if equals:
-            names = "; ".join(equals)
-            comparison = f"Within one standard error, these explain it as well: {names}."
+        comparison = f"Within one standard error of it: {'; '.join(equals) or 'no other'}."
         notes = [f"Jerlov type {model.name} surfaces. {comparison}", residual]
         times = result.parameters["contents"].value or 1.0
         if not 1 / _FAR_CONTENTS < times < _FAR_CONTENTS:
-            doubt = "Are camera, view, g and μ right?"
-            notes.append(f"It has {times:.2g} times the type's contents, hardly that type. {doubt}")
+            notes.append(
+                f"It has {times:.2g} times the type's contents, which is hardly that type."
+            )
         return notes
     metres = result.candidates[0].values["visibility"]
-    return [
-        "No Jerlov type explains the picture, so none is named. In what comes nearest one sees "
-        f"about {metres:.2g} m far; depth and contents may be far off. The rates of each colour "
-        "need no type: `uwaug.fit` (--model auto) tells them.",
-        residual,
-    ]
+    none = (
+        "No Jerlov type explains the picture. In what comes nearest one sees about "
+        f"{metres:.2g} m far; `uwaug.fit` (--model auto) tells rates of each colour without a type."
+    )
+    return [none, residual]
 
 
 def _start(objective: Objective[TypeModel]) -> Array:

@@ -19,6 +19,8 @@ from uwaug.optics.scattering import Scattering
 from uwaug.optics.view import WIDE
 
 COLOURS = ("red", "green", "blue")
+VISIBLE_LIGHT = 0.002  # of linear light, the least that shows: half of a step of 8 bits
+NORMAL = 1.96  # standard errors to either end of a 95 % interval
 MAX_OPTICAL_DEPTH = 40.0  # to the median distance: more than any picture survives
 MAX_GAIN = 1e4  # the least gain is one over it
 # px, σ at the median distance, below which a blur is hardly told from none. In pictures of the
@@ -41,8 +43,6 @@ class Bounds(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A reported quantity."""
-
     name: str
     unit: str
     resolution: float  # smallest change that shows in the picture
@@ -50,38 +50,28 @@ class Quantity(NamedTuple):
 
 
 class Model(Protocol):
-    """A picture as a function of θ, as fits need it.
+    """A picture as a function of θ, as fits need it."""
 
-    Attributes:
-        offset: linear light by which all pixels of a colour may be off alike, whatever the noise.
-    """
-
-    offset: float = 0.0
+    offset: float = 0.0  # linear light by which all pixels of a colour may be off alike
 
     @property
-    def name(self) -> str:
-        """Name of the candidate."""
+    def name(self) -> str: ...
 
     @property
-    def bounds(self) -> Mapping[str, Bounds]:
-        """Bounds of each fitted number, by name, in the order of θ."""
+    def bounds(self) -> Mapping[str, Bounds]: ...
 
     @property
-    def quantities(self) -> list[Quantity]:
-        """The reported quantities."""
+    def quantities(self) -> list[Quantity]: ...
 
-    def render(self, theta: Array, pixels: Pixels) -> Tensor:
-        """Pixels (1x3x1xN) in linear light."""
+    def render(self, theta: Array, pixels: Pixels) -> Tensor: ...
 
-    def report(self, theta: Array) -> Array:
-        """Value of each of `quantities`."""
+    def report(self, theta: Array) -> Array: ...
 
     def hidden(self, theta: Array) -> Sequence[str]:
         """Names of quantities that pictures of these numbers do not tell, whatever their errors."""
         return ()
 
     def shown(self, theta: Array) -> Mapping[str, float]:
-        """Values for a table of candidates, by name."""
         return {}
 
     def slopes(self, theta: Array, pixels: Pixels) -> Array:
@@ -169,18 +159,15 @@ class CoefficientModel(Model):
 
     @property
     def name(self) -> str:
-        """Name of the candidate."""
         return self.spec.name + self.gain * " + gain"
 
     @property
     def fixable(self) -> tuple[str, ...]:
-        """Names of the numbers that may be fixed."""
         names = (quantity.name for quantity in self.quantities)
         return tuple(name for name in names if not name.startswith(("source", "gain")))
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
-        """Bounds of each fitted number, by name, in the order of θ."""
         reference, widest = self.geometry.reference, self.geometry.widest
         opaque, scatters = MAX_OPTICAL_DEPTH / reference, self.spec.shape is not None
         bounds = {}
@@ -206,7 +193,6 @@ class CoefficientModel(Model):
         return bounds
 
     def coefficients(self, theta: Array) -> Coefficients:
-        """Coefficients of the picture at θ."""
         values = dict(self.fixed) | dict(zip(self.bounds, theta.tolist(), strict=True))
 
         def three(kind: str, defaults: float | Array) -> Array:
@@ -247,7 +233,6 @@ class CoefficientModel(Model):
         return Medium.of_arrays(arrays, note, law)
 
     def picture(self, c: Coefficients, pixels: Pixels) -> Tensor:
-        """Pixels (1x3x1xN) in linear light."""
         soft = pixels.clean
         if self.spec.shape is not None:
             sigma = c.width * (pixels.z / self.geometry.reference) ** c.exponent
@@ -255,12 +240,10 @@ class CoefficientModel(Model):
         return self.medium(c).image(pixels.z, pixels.clean, soft)
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
-        """Pixels (1x3x1xN) in linear light."""
         return self.picture(self.coefficients(theta), pixels)
 
     @cached_property
     def quantities(self) -> list[Quantity]:
-        """The reported quantities: fitted and fixed numbers, and what follows from them."""
         farthest = self.geometry.farthest
         rate, light = 0.1 / farthest, 0.02  # 1/m and 1: the smallest changes that show
         kinds = [("beta", "1/m", rate, "beta")]
@@ -280,7 +263,6 @@ class CoefficientModel(Model):
         return rows
 
     def report(self, theta: Array) -> Array:
-        """Value of each of `quantities`."""
         c = self.coefficients(theta)
         values = {**c._asdict(), "veil": c.source / (c.G + _MIN_G), "gain": c.light}
         kinds = dict.fromkeys(quantity.name.partition("_")[0] for quantity in self.quantities)

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from uwaug.fitting.errors import NORMAL
-from uwaug.fitting.model import COLOURS
-from uwaug.fitting.result import VISIBLE_LIGHT, Fit
+from uwaug.fitting.model import COLOURS, NORMAL, VISIBLE_LIGHT
 from uwaug.formation.colour import linear_to_srgb
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
@@ -16,6 +14,8 @@ from uwaug.optics.medium import Medium
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from uwaug.fitting.result import Fit
 
 _INK, _GREY = "#1a1a1a", "#5a5a5a"
 _LEFT_OUT = 1.0  # value of pixels that the fit has left out: white
@@ -29,7 +29,7 @@ _CURVES = {
 }
 
 
-def plot(fit: Fit) -> "Figure":
+def plot(fit: "Fit") -> "Figure":
     """Draw the first picture of a fit where it has one, its residuals, and its curves."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -76,7 +76,7 @@ def draw_curves(axis: "Axes", medium: Medium, reach: float, seen: float | None =
     _style(axis)
 
 
-def _draw_residuals(axis: "Axes", fit: Fit) -> None:
+def _draw_residuals(axis: "Axes", fit: "Fit") -> None:
     """Observed − fitted by distance, with 95 % intervals of independent noise; the grey band does
     not show in pictures.
     """

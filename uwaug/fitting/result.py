@@ -14,6 +14,7 @@ from uwaug._support import checks, codec
 from uwaug._support.atomic import require_regular, written_whole
 from uwaug._support.types import Array
 from uwaug.fitting.data import Geometry, Pictures
+from uwaug.fitting.model import COLOURS
 from uwaug.formation.setting import Setting
 from uwaug.formation.underwater import Underwater
 from uwaug.optics.medium import Medium
@@ -24,7 +25,15 @@ if TYPE_CHECKING:
 
 State = Literal["free", "at bound", "not identified", "fixed"]
 
-VISIBLE_LIGHT = 0.002  # of linear light, the least that shows: half of a step of 8 bits
+_MAX_DIGITS = 12  # of the ends of an interval
+# of numbers whose name and unit are not enough, by kind
+_MEANINGS = {
+    "veil": "of white, V(0)",
+    "source": "of white, G·V(0)",
+    "gain": "times the light of clean",
+    "exponent": "of σ over distance",
+    "contents": "times those of the type",
+}
 # Range that a fit's module is planned for, in shares of the median and of the farthest distance.
 _NEAR_SHARE, _FAR_SHARE = 0.2, 1.5
 
@@ -40,6 +49,17 @@ class Parameter:
     high: float | None
     unit: str  # "1/m", "m", "px" or "1"
     state: State  # free, at the end of its range, not told by the pictures, or given
+
+    @property
+    def interval(self) -> str:
+        """The 95 % interval in words, with as many digits as tell its ends apart."""
+        if self.low is None or self.high is None:
+            return ""
+        for digits in range(4, _MAX_DIGITS):
+            low, high = f"{self.low:.{digits}g}", f"{self.high:.{digits}g}"
+            if low != high:
+                break
+        return f"{low} … {high}"
 
 
 @codec.plain
@@ -78,8 +98,7 @@ class Fit:
         parameters: each number by name.
         covariance: covariance of all `parameters`, in their order; of no use where one is not
             identified.
-        setting: the water (exposure included, a batch of one, float64), and the view and color
-            space of the pictures: `module` makes the observed picture of the clean one by it.
+        setting: the water (exposure included, a batch of one, float64), view and color space.
         geometry: distances [m] and size [px] of the pictures.
         rms: root mean square of the residual, in linear light.
         notes: sentences on the result, and on what the pictures cannot tell.
@@ -129,9 +148,41 @@ class Fit:
 
     def summary(self) -> str:
         """The result as text: notes, parameters, candidates, residuals by distance."""
-        from uwaug.fitting.words import summary
+        rows = [["", "value", "std. error", "95 % interval", "unit"]]
+        for name, number in self.parameters.items():
+            value = "not identified" if number.value is None else f"{number.value:.4g}"
+            error = "" if number.error is None else f"{number.error:.2g}"
+            rows.append([name, value, error, number.interval, self._meaning(name)])
+        lines = [*self.notes, *_aligned(rows)]
+        if len(self.candidates) > 1:
+            # errors are in standard deviations of the noise, what lies behind in their squares
+            rows = [["  model", "numbers", "error [σ]", "behind the best [σ²]", ""]]
+            for x in self.candidates:
+                behind = f"{x.behind:.4g} ± {x.behind_error:.2g}"
+                values = ", ".join(f"{name} {value:.4g}" for name, value in x.values.items())
+                name = f"{'*' if x.chosen else ' '} {x.name}"
+                rows.append([name, str(x.numbers), f"{x.error:.4f}", behind, values])
+            lines += _aligned(rows)
+        if self.remainder:
+            rows = [["observed − fitted", *COLOURS, "of linear light"]]
+            for part in self.remainder:
+                cells = [f"{m:+.4f} ± {e:.4f}" for m, e in zip(part.mean, part.error, strict=True)]
+                rows.append([f"at {part.distance:.3g} m", *cells, ""])
+            lines += _aligned(rows)
+        return "\n".join(lines)
 
-        return summary(self)
+    def _meaning(self, name: str) -> str:
+        number, kind, geometry = self.parameters[name], name.partition("_")[0], self.geometry
+        meaning = _MEANINGS.get(kind, "")
+        if kind == "width":
+            meaning = f"σ at {geometry.reference:.3g} m"
+        if kind in ("beta", "G"):
+            meaning = f"one rate for {geometry.nearest:.3g} to {geometry.farthest:.3g} m"
+        if kind == "beta" and self.model in ("haze", "veil"):
+            meaning += ", of direct and forward light together"
+        unit = number.unit if number.unit != "1" or not meaning else ""
+        state = f"({number.state})" if number.state in ("at bound", "fixed") else ""
+        return "  ".join(filter(None, (unit, meaning, state)))
 
     def __str__(self) -> str:
         return self.summary()
@@ -155,6 +206,15 @@ class Fit:
         """Write the result as JSON, whole or not at all; `uwaug.fitting.load_fit` reads it."""
         with written_whole(path) as part:
             part.write_text(json.dumps(codec.to_plain(self), indent=1) + "\n", encoding="utf-8")
+
+
+def _aligned(rows: list[list[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [""]
+    for first, *numbers, last in rows:
+        cells = [cell.rjust(width) for cell, width in zip(numbers, widths[1:], strict=False)]
+        lines.append("  ".join(["", first.ljust(widths[0]), *cells, last]).rstrip())
+    return lines
 
 
 def load_fit(path: str | os.PathLike[str]) -> Fit:

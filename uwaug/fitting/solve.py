@@ -36,14 +36,11 @@ _NOISE_ROUNDS = 2  # a third changes no number by a tenth of its error
 
 @dataclass(frozen=True, eq=False)
 class Objective(Generic[M]):
-    """A model with the pixels to be explained."""
-
     model: M
     pixels: Pixels
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Least and largest values of the numbers."""
         low, high, _ = np.array([*self.model.bounds.values()]).T
         return low, high
 
@@ -53,15 +50,12 @@ class Objective(Generic[M]):
         return (self.pixels.weights * (light - self.pixels.observed)).flatten().numpy()
 
     def jacobian(self, theta: Array) -> Array:
-        """Derivatives of the residual (3·N x numbers)."""
         weights = self.pixels.weights.flatten().numpy()
         return weights[:, None] * self.model.slopes(theta, self.pixels)
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """End of a fit."""
-
     theta: Array
     cost: float  # half of the summed loss
     at_bound: Array  # −1 or 1 where a number is at its least or largest value, else 0
@@ -74,7 +68,6 @@ def loss(residual: Array) -> Array:
 
 
 def influence(residual: Array) -> tuple[Array, Array]:
-    """First two derivatives of half the loss."""
     root = np.sqrt(1 + (residual / ROBUST) ** 2)
     return residual / root, 1 / root**3
 
@@ -211,7 +204,6 @@ def _light_and_source(
 
 
 def roughly_weighed(pixels: Pixels) -> Pixels:
-    """Pixels with weights for a first fit."""
     return replace(pixels, weights=pixels.weights / _ROUGH_NOISE)
 
 

@@ -61,16 +61,12 @@ def fit_veil(
             change of a number counts as a standard error. 0 if some surfaces are known to be black.
 
     Returns:
-        The fit, an estimate: G, veil V(0) and source G·V(0) of each channel. Its medium has β = G,
-        as these pictures do not tell β. Where V(0) and G are not identified, `medium.backscatter`
-        still is, as far as the picture reaches.
+        The fit, an estimate: G, veil V(0) and source G·V(0) of each channel. Its medium has β = G.
+        Where V(0) and G are not identified, `medium.backscatter` still is, up to the farthest.
 
     Raises:
         TypeError, ValueError: as `uwaug.fit`; if fewer than three steps hold 50 pixels, or the
             picture is of one colour.
-
-    On five scenes in four waters with 1 % noise the veil at a distance is .002 to .004 off (RMS,
-    linear light) where something is black at each of them, else up to .03 too high.
 
     Source: Akkaynak and Treibitz, *Sea-thru*, CVPR 2019, section 4.3.
 
@@ -108,45 +104,36 @@ def fit_veil(
     covariance = of_pixels + np.outer(bias, bias)
     scale = np.repeat([1.0, unit, unit], 3)
     covariance *= np.outer(scale, scale)
-    values = scale * model.report(theta)
-    errors = scale * np.sqrt(np.diag(of_pixels)), np.sqrt(np.diag(covariance))
+    values, errors = scale * model.report(theta), np.sqrt(np.diag(covariance))
     G = dict(zip(COLOURS, c.G.tolist(), strict=True))
     full_grown = [colour for colour in COLOURS if G[colour] * nearest > _FULL_GROWN]
-    # names of numbers that black surfaces, or more pixels, would tell
-    if_black: list[str] = []
-    if_more: list[str] = []
-    numbers = {}
+    numbers, untold = {}, []  # names of numbers that other surfaces would tell
     kinds = [(kind, colour) for kind in _UNITS for colour in COLOURS]
-    for (kind, colour), value, least, error in zip(kinds, values.tolist(), *errors, strict=True):
+    for (kind, colour), value, error in zip(kinds, values.tolist(), errors.tolist(), strict=True):
         # of a veil that is full-grown its end alone shows, if it is that of the water; of a
         # straight line its growth alone
         shows = kind == "source" or G[colour] * farthest >= THIN_OPTICAL_DEPTH
         if colour in full_grown:
             shows = kind == "veil" and farthest == np.inf
         quantity = Quantity(f"{kind}_{colour}", _UNITS[kind], _RESOLUTION, "")
-        number = parameter(quantity, value, float(error), shows=shows)
+        number = parameter(quantity, value, error, shows=shows)
         if number.value is None and shows:
-            is_told = parameter(quantity, value, float(least)).value is not None
-            (if_black if is_told else if_more).append(quantity.name)
+            untold.append(quantity.name)
         numbers[quantity.name] = number
     notes = [
-        "An estimate: the darkest pixels at each distance are taken for black. What their surfaces "
-        f"reflect counts as veil; errors are for up to {darkest:.2g} of white (darkest)."
+        "An estimate: the darkest pixels at each distance are taken for black, within an error of "
+        f"{darkest:.2g} of white (darkest)."
     ]
     if full_grown:
         notes.append(
             f"In {', '.join(full_grown)} what is darkest is as light at {nearest:.3g} m as farther "
-            "away: the water is very turbid, or nothing in view is black and V(0) is too high. "
-            f"Something black nearer than {nearest:.3g} m would tell."
+            "away: the water is very turbid, or nothing in view is black and V(0) is too high."
         )
     if straight := straight_line(G, farthest):
         notes += [f"{straight[0]} Open water in view (distance inf) would tell its end."]
-    if if_black:
-        cure = "Something black at each distance, such as deep shadow, and darkest=0 (--darkest 0)"
-        notes.append(f"{cure} would tell {', '.join(if_black)}.")
-    if if_more:
-        cure = "Dark surfaces nearer and farther, or more pictures of this water,"
-        notes.append(f"{cure} would tell {', '.join(if_more)}.")
+    if untold:
+        cure = "Dark surfaces nearer and farther, or black ones and darkest=0 (--darkest 0),"
+        notes.append(f"{cure} would tell {', '.join(untold)}.")
     return Fit(
         model="darkest pixels",
         parameters=numbers,

@@ -9,9 +9,7 @@ pattern away. The modulation falls from m to m·T_β·ρ/(T_G·ρ + B), and `con
 ratio in luminance. The gain of an exposure cancels.
 
 That holds for patterns finer than the blur, such as the texture and the edges of an object. Coarser
-ones keep more, up to T_G·ρ/(T_G·ρ + B): this is a lower bound. Against Monte Carlo light transport
-without veil, patterns of a period of 1° keep up to .019 more with Henyey and Greenstein's phase
-function (mean cosine .924), and patterns of .5° up to .10 more with Petzold's.
+ones keep more, up to T_G·ρ/(T_G·ρ + B): this is a lower bound.
 """
 
 import math
@@ -85,8 +83,7 @@ def contrast_left(
         object_light = _checked_light(reflectance, z)
         water = medium.to(z)
         setting = Setting(medium, light, view=view)
-        T = setting.curves(water, z, *unscaled)
-        T = snowing(T, water, light, z, view, *unscaled)
+        T = snowing(setting.curves(water, z, *unscaled), water, light, z, view, *unscaled)
         # an even surface, which no blur changes
         terms = water.parts(z, object_light, object_light, T)
         detail = _luminance(terms["direct"])
@@ -122,14 +119,11 @@ def _checked_light(reflectance: float | Tensor, z: Tensor) -> Tensor:
             raise ValueError(f"reflectance falls to {low:g}: expected linear light ≥ 0")
     picture = (len(z), 3, *z.shape[-2:])
     try:
-        shape = np.broadcast_shapes(reflectance.shape, picture)
+        return reflectance.to(z).expand(np.broadcast_shapes(reflectance.shape, picture))
     except ValueError:
         got = tuple(reflectance.shape)
         raise ValueError(f"reflectance is {got}: expected what broadcasts with {picture}") from None
-    return reflectance.to(z).expand(shape)
 
 
 def _luminance(light: Tensor) -> Tensor:
-    """Luminance (Bx1xHxW) of light (Bx3xHxW)."""
-    weights = light.new_tensor(LUMINANCE)[:, None, None]
-    return (light * weights).sum(-3, keepdim=True)
+    return (light * light.new_tensor(LUMINANCE)[:, None, None]).sum(-3, keepdim=True)

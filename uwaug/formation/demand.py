@@ -11,7 +11,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.compiled import compiled
 from uwaug._support.types import Array
-from uwaug.blur.plan import NO_BLUR, BlurPlan, octave_steps, plan_blur
+from uwaug.blur.plan import NO_BLUR, BlurPlan, octave_steps, planned
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import Law
@@ -89,7 +89,7 @@ class BlurDemand:
             high = octave_steps(high, 2, math.ceil)
             low = octave_steps(low, 2, math.floor) if low > 0.2 else 0.0
         low = min(low, high)
-        return plan_blur(low, high, self.blur_tolerance, self.law.shape, longest, shared=shared)
+        return planned(low, high, self.blur_tolerance, self.law.shape, longest, shared)
 
 
 def blur_demand(

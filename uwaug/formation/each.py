@@ -23,10 +23,9 @@ _WALL_PX = (9, 12)  # height and width of a wall that stands for a scene under l
 def form_each(images: Tensor, z: Tensor, metres: Tensor, settings: Sequence[Setting]) -> Tensor:
     """Pictures (Bx3xHxW) as cameras store them, see `uwaug.formation.image.form`.
 
-    On the host they are formed one after the other, which keeps the data of one in the caches. (By
-    PyTorch, 16 of 256² take 15 ms each; all at once, with rates padded to as many for all, 29.) On
-    a device pictures by daylight alone are formed at once, then those with lamps one by one,
-    without a look at values: blurs are planned for the `span` of each, in a scene of grey.
+    On the host they are formed one after the other, which keeps the data of one in the caches. On a
+    device pictures by daylight alone are formed at once, then those with lamps one by one, without
+    a look at values: blurs are planned for the `span` of each, in a scene of grey.
     """
     results: dict[int, Tensor] = {}
     on_host = checks.on_host(images)
@@ -62,13 +61,11 @@ def _days(settings: Sequence[Setting]) -> list[list[int]]:
 
 
 def _at_once(images: Tensor, z: Tensor, metres: Tensor, settings: Sequence[Setting]) -> Tensor:
-    """Form all pictures by daylight at once, without reading their values on the host."""
     medium = Medium.stack([setting.medium for setting in settings])
     development = Development.stack([setting.development for setting in settings], z)
     light, day = settings[0].light, medium
     if light is not None:
-        pitches = torch.tensor([each.light.pitch for each in settings if each.light])
-        light = replace(light, pitch=pitches)
+        light = replace(light, pitch=torch.tensor([x.light.pitch for x in settings if x.light]))
         day = medium.brightened(torch.full((1, 1), light.daylight))
     stacked = replace(settings[0], medium=medium, light=light, development=development)
     plans = _plans(_of_grey(day, settings), settings, z)
@@ -77,12 +74,11 @@ def _at_once(images: Tensor, z: Tensor, metres: Tensor, settings: Sequence[Setti
 
 def _plans(media: Medium, settings: Sequence[Setting], z: Tensor) -> list[BlurPlan]:
     """Blurs of pictures of the size of a map, for media as cameras brighten them."""
-    plans = []
-    for i, setting in enumerate(settings):
-        near, _, far = setting.span
-        demand = blur_demand(media[i], (near, far), view=setting.view)
-        plans.append(demand.plan((z.shape[-2], z.shape[-1]), shared=True))
-    return plans
+    demands = [
+        blur_demand(media[i], (setting.span[0], setting.span[2]), view=setting.view)
+        for i, setting in enumerate(settings)
+    ]
+    return [demand.plan((z.shape[-2], z.shape[-1]), shared=True) for demand in demands]
 
 
 def _lit_grey(setting: Setting, width: int) -> Medium:

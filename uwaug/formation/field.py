@@ -100,22 +100,19 @@ def field_of(
         fields = (down @ amplitudes @ across.mT)[:, None]
     # by the ends of the field that has not moved: else all of it would change as it moves
     if checks.on_host(still) and len(still):
-        pairs = zip(torch.split(fields, 1), still, strict=True)
-        stretched = [_stretched(field, *checks.extent(x), low, high) for field, x in pairs]
-        return stretched[0] if len(stretched) == 1 else torch.cat(stretched)
+        ends = [checks.extent(field) for field in torch.split(still, 1)]
+        for field, (least, most) in zip(torch.split(fields, 1), ends, strict=True):
+            # tensors as ends take five times as long
+            factor = (high - low) / (most - least) if most > least else 0.0
+            summand = (low + high) / 2 - (least + most) / 2 * factor
+            field.mul_(factor).add_(summand).clamp_(low, high)
+        return fields
     smallest, largest = still.amin((-2, -1), keepdim=True), still.amax((-2, -1), keepdim=True)
     span = largest - smallest
     scale = torch.where(span > 0, (high - low) / span, 0.0)
     # (torch.addcmul takes three times as long)
     offset = (low + high) / 2 - (smallest + largest) / 2 * scale
     return (fields * scale).add_(offset).clamp_(low, high)
-
-
-def _stretched(field: Tensor, smallest: float, largest: float, low: float, high: float) -> Tensor:
-    # tensors as ends take five times as long
-    scale = (high - low) / (largest - smallest) if largest > smallest else 0.0
-    offset = (low + high) / 2 - (smallest + largest) / 2 * scale
-    return (field * scale).add_(offset).clamp_(low, high)
 
 
 class _Waves(NamedTuple):

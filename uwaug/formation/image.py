@@ -8,9 +8,7 @@
 The curves T_β, T_G and V and the width σ are the medium's, see `uwaug.optics.medium`. J is the
 scene without water, z the distance along the ray [m], m the medium field, which multiplies it.
 
-The blur is of J, weighted with the curves of the pixel that looks. To weigh first and blur the
-product, as the paper prints it, is no nearer to Monte Carlo light transport: RMSE of .0290 instead
-of .0268 (two planes, edge region).
+The blur is of J, weighted with the curves of the pixel that looks.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -88,10 +86,10 @@ def form(
     # after the gain: the camera is metered without snow, which changes nothing else in a picture
     T = snowing(T, medium, setting.light, z, setting.view, metres, J)
     largest = headroom(image) if color_space == "srgb" else 1.0
-    sensor, noise = development.noise, () if normals is None else (normals,)
-    if sensor is not None and not noise:
+    sensor = development.noise
+    if sensor is not None and normals is None:
         batch = max(len(J), len(z), len(medium), 0 if T is None else len(T.veil))
-        noise = (sensor.normals(batch, size, z),)
+        normals = sensor.normals(batch, size, z)
 
     def stored(z: Tensor, J: Tensor, soft: Tensor, *noise: Tensor) -> Tensor:
         arriving = medium.image(z, J, soft, T)
@@ -100,7 +98,7 @@ def form(
         developed = development.shaped(exposed(arriving, gain))
         return encoded(developed, color_space, image.dtype, largest)
 
-    shares = (z, J, soft, *noise)
+    shares = (z, J, soft) if normals is None else (z, J, soft, normals)
     return stored(*shares) if T is not None else _in_bands(medium, stored, *shares)
 
 
@@ -198,8 +196,7 @@ def form_image(
         medium: one row, or as many as images. One image and B media give B images.
         light: lamps, and the direction of daylight; None for daylight as the medium has it.
         view: of the camera.
-        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f²;
-            single pixels may be off by 3 to 5 times as much.
+        tolerance: RMSE of the blur that may pass, in linear light, on pictures with power ∝ 1/f².
 
     Returns:
         The terms, of the image's dtype, with its batch dimension or without.

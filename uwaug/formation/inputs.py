@@ -1,6 +1,5 @@
 """Checks of the inputs of image formation."""
 
-import math
 from typing import Any
 
 import torch
@@ -25,18 +24,14 @@ def validate(
     light: Light | None = None,
     view: View = WIDE,
 ) -> None:
-    """Refuse inputs of a wrong type, shape, batch, device or value."""
     agree(medium, light, image=image, distance=distance, field=field)
     view.require(image.shape[-1])
     require_values(image, color_space)
     if torch.compiler.is_compiling():
         return
     checks.distances("distance", distance)
-    if field is not None and field.numel():
-        thinnest, densest = checks.extent(field)
-        if not (thinnest >= 0 and densest < math.inf):
-            counts = checks.counted(field, "NaN", "negative", "infinite")
-            raise ValueError(f"field is {counts}: expected finite values ≥ 0")
+    if field is not None and field.numel() and checks.finite("field", field)[0] < 0:
+        raise ValueError(f"field falls to {float(field.min()):g}: expected values ≥ 0")
 
 
 def agree(medium: Medium, light: Light | None, **images: Any) -> None:
@@ -44,20 +39,27 @@ def agree(medium: Medium, light: Light | None, **images: Any) -> None:
     or none, and maps.
     """
     checks.instance("medium", medium, Medium, "; see Medium.from_water")
-    sizes, first = {"medium": len(medium)}, next(iter(images.values()))
+    sizes = {"medium": len(medium), **batch_sizes(**images)}
     if light is not None:
         checks.instance("light", light, Light)
         sizes["pitch"] = light.pitch.numel() if isinstance(light.pitch, Tensor) else 1
+    checks.batches(sizes)
+
+
+def batch_sizes(**images: Any) -> dict[str, int]:
+    """Refuse pictures and maps whose types, shapes or devices do not agree; their batches."""
+    sizes, (of, first) = {}, next(iter(images.items()))
     for name, value in images.items():
         if value is None:
             continue
-        if not (name == "image" and isinstance(value, Tensor) and value.dtype == torch.uint8):
+        is_picture = name in ("image", "clean", "observed")
+        if not (is_picture and isinstance(value, Tensor) and value.dtype == torch.uint8):
             checks.floating(name, value)
-        checks.picture(name, value, 3 if name == "image" else 1)
-        checks.same_size(name, value, first)
+        checks.picture(name, value, 3 if is_picture else 1)
+        checks.same_size(name, value, first, of)
         checks.same_device(name, value, first)
         sizes[name] = len(value) if value.ndim == 4 else 1
-    checks.batches(sizes)
+    return sizes
 
 
 def effective_distance(distance: Tensor, field: Tensor | None, dtype: torch.dtype) -> Tensor:

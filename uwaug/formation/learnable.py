@@ -40,8 +40,7 @@ class FixedMedium(nn.Module):
     def _load_from_state_dict(self, state: dict[str, Any], prefix: str, *args: Any) -> None:
         buffers = dict(self.named_buffers(recurse=False))
         stored = {name: state.get(prefix + name, buffer) for name, buffer in buffers.items()}
-        pairs = list(zip(stored.values(), buffers.values(), strict=True))
-        if all(_but_rates(x) == _but_rates(y) for x, y in pairs):
+        if all(_but_rates(stored[name]) == _but_rates(buffers[name]) for name in buffers):
             for name, buffer in buffers.items():  # of another number of rates
                 setattr(self, name, buffer.new_empty(stored[name].shape))
         super()._load_from_state_dict(state, prefix, *args)
@@ -53,10 +52,9 @@ class FixedMedium(nn.Module):
 
     def set_extra_state(self, state: Tensor) -> None:
         """Take law, notes and snow of a state."""
-        stored: dict[str, Any] = {
-            name: from_plain(value, Law, MarineSnow) for name, value in of_tensor(state).items()
-        }
-        self.start = replace(self.start, **stored)
+        stored = of_tensor(state).items()
+        values: Any = {name: from_plain(value, Law, MarineSnow) for name, value in stored}
+        self.start = replace(self.start, **values)
 
 
 def as_tensor(values: dict[str, Any]) -> Tensor:
@@ -79,8 +77,7 @@ def _but_rates(tensor: Tensor) -> torch.Size:
 class LearnableMedium(nn.Module):
     """A medium of coefficients, made of unconstrained parameters. Whatever they are, β ≥ G ≥ 0, and
     the veil and the width's scale are ≥ 0. The veil is learned by its slope at the lens, G·V(0),
-    which has a limit as G falls to 0. (With V(0) for a parameter, G → 0 and V(0) → ∞ would fit as
-    well.)
+    which has a limit as G falls to 0.
 
     Args:
         medium: start of learning, from `Medium.from_coefficients` or `Medium.as_coefficients`.
@@ -111,9 +108,8 @@ class LearnableMedium(nn.Module):
 
     def _add(self, name: str, value: Tensor) -> None:
         value = value.detach().clamp(min=_MIN_START)
-        self.register_parameter(
-            f"raw_{name}", nn.Parameter(value + torch.log(-torch.expm1(-value)))
-        )
+        raw = nn.Parameter(value + torch.log(-torch.expm1(-value)))
+        self.register_parameter(f"raw_{name}", raw)
 
     def forward(self) -> Medium:
         """The medium of the parameters."""

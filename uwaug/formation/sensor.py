@@ -27,15 +27,12 @@ class Sensor(Seeded):
     and multiply the noise with the light, as ISO does.
 
     A pixel of the sensor holds 3 000 to 60 000 electrons, with a read noise of 1 to 5; a pixel that
-    stands for n of them holds n times as many, with √n times the read noise. Not modelled:
-    demosaicing and denoising, patterns of a sensor, dark current, a full well that overflows, and
-    the noise that the colour matrix amplifies.
+    stands for n of them holds n times as many, with √n times the read noise.
 
     Attributes:
         full_well: electrons, ≥ 1; in `uwaug.RandomDevelopment` also a range (low, high).
         read_noise: rms, electrons; likewise.
-        seed: a whole number for the same noise at each call; None for new noise, from torch's
-            global generator. Pictures that are drawn record their own.
+        seed: a whole number for the same noise at each call; None for new noise.
 
     Source: the photon transfer curve, σ² = N + read_noise² (J. R. Janesick, *Photon Transfer*, SPIE
     2007; EMVA 1288). A normal distribution stands for Poisson's.

@@ -35,8 +35,8 @@ _MAX_SHARE_OUTSIDE = 0.01  # of the pixels, beyond the planned range, without a 
 _WIDTH_MARGIN = 2.0  # factor by which a learned width may leave its start before a new plan
 _RANGE_ROUNDING = 1e-6  # share by which float32 may exceed a range, as with a field
 _OF_SETTING = [field.name for field in fields(Setting) if field.name not in ("medium", "span")]
-# older releases were tried, and do not compile the module
-_COMPILES = tuple(map(int, torch.__version__.split(".")[:2])) >= (2, 13)
+# older releases were tried: they neither compile the module nor trace free sizes
+EXPORTS = tuple(map(int, torch.__version__.split(".")[:2])) >= (2, 13)
 
 
 class Underwater(nn.Module):
@@ -56,10 +56,9 @@ class Underwater(nn.Module):
             leaves the plan gets a new plan, except in a compiled module. The medium is copied: to
             its own tensors gradients go by `uwaug.form_image` alone.
         sides: (smallest, largest) short side, px, of the pictures: one plan of the blur then serves
-            them all, as an exported file needs. None plans for each size, which is faster: one plan
-            for (32, 2160) takes 15 to 70 % more time.
-        development: steps of the camera, see `uwaug.Development`; none by default.
-        light: lamps and direction of daylight, see `uwaug.Light`; None for that of the medium.
+            them all, as an exported file needs. None plans for each size, which is faster.
+        development: steps of the camera; none by default.
+        light: lamps and direction of daylight; None for that of the medium.
         view: of the camera, a `uwaug.View` or its angle in degrees.
 
     A state (`state_dict`) holds the whole `setting`, and the module that loads it takes it all;
@@ -103,9 +102,7 @@ class Underwater(nn.Module):
         self.tolerance = tolerance
         self.color_space: ColorSpace = color_space
         self.learnable = bool(learnable)
-        self.development = development
-        self.light = light
-        self.view = View.of(view)
+        self.development, self.light, self.view = development, light, View.of(view)
         self._sides = None if sides is None else sides_of(sides)
         self._warned = False
         self.coefficients: FixedMedium | LearnableMedium = FixedMedium(medium)
@@ -159,10 +156,9 @@ class Underwater(nn.Module):
         """The blur plan for images of (height, width) `size`; None without a `distance_range`."""
         if self.demand is None:
             return None
-        if self.sides is not None:
-            return constant_plan(self.demand, self.sides, 1, 1)
         # index(): a compiled module is compiled again for another size, which has another plan
-        return constant_plan(self.demand, None, index(size[0]), index(size[1]))
+        height, width = (1, 1) if self.sides else map(index, size)
+        return constant_plan(self.demand, self.sides, height, width)
 
     if TYPE_CHECKING:  # nn.Module's own returns Any
 
@@ -172,19 +168,12 @@ class Underwater(nn.Module):
 
     def forward(self, image: Tensor, distance: Tensor, field: Tensor | None = None) -> Tensor:
         """Degrade an image."""
-        if torch.compiler.is_compiling() and not _COMPILES:
+        if torch.compiler.is_compiling() and not EXPORTS:
             raise RuntimeError("torch.compile of Underwater needs torch 2.13 or newer")
         setting = self.setting
         medium, light = setting.medium, setting.light
-        validate(
-            image,
-            distance,
-            medium,
-            field,
-            color_space=setting.color_space,
-            light=light,
-            view=setting.view,
-        )
+        options: Any = {"color_space": setting.color_space, "light": light, "view": setting.view}
+        validate(image, distance, medium, field, **options)
         dtype = torch.promote_types(image.dtype, torch.float32)
         with checks.full_precision(image):
             z = effective_distance(distance, field, dtype)
@@ -192,7 +181,10 @@ class Underwater(nn.Module):
             if field is not None and (light is not None or medium.snow):
                 metres = effective_distance(distance, None, dtype).expand_as(z)
             if not torch.compiler.is_compiling():
-                self._keep_up(medium)
+                # beyond the ends of a plan learning gets stuck
+                plan = self.demand if self.learnable else None
+                if plan and not plan.covers(self._demand_of(medium)):
+                    self._plan_anew()
                 self._warn_outside(z)
             result = form(
                 image if image.ndim == 4 else image[None],
@@ -243,13 +235,6 @@ class Underwater(nn.Module):
         if self.distance_range is not None and not medium.beta.is_meta:
             self.demand = self._demand_of(medium, margin=_WIDTH_MARGIN if self.learnable else 1.0)
 
-    def _keep_up(self, medium: Medium) -> None:
-        """Plan anew if a width has left the plan, beyond whose ends learning gets stuck."""
-        if not self.learnable or self.demand is None:
-            return
-        if not self.demand.covers(self._demand_of(medium)):
-            self._plan_anew()
-
     def plans_for(self, medium: Medium) -> bool:
         """True if the widths of another medium of this law lie within the plan."""
         return self.demand is None or self.demand.holds(self._demand_of(medium))
@@ -275,15 +260,10 @@ class Underwater(nn.Module):
 
     def extra_repr(self) -> str:
         """Medium, plan of the blur and settings."""
-        blur = "planned at each call"
+        blur = f"distance_range={self.distance_range}, sides={self.sides}"
         if self.distance_range is not None:
-            near, far = self.distance_range
-            at = "at 512 px"
-            if self.sides is not None:
-                at = "for short sides of {}…{} px".format(*self.sides)
-            blur = f"{near:g}…{far:g} m, {self.plan((512, 512))} {at}"
-        setting = self.setting
-        pairs = (setting.development, NEUTRAL), (setting.light, None), (setting.view, WIDE)
+            blur += f", at 512 px {self.plan((512, 512))}"
+        pairs = (self.development, NEUTRAL), (self.light, None), (self.view, WIDE)
         options = "".join(f", {value!r}" for value, default in pairs if value != default)
-        settings = f"tolerance={self.tolerance:g}, {setting.color_space}{options}"
-        return f"{setting.medium!r},\n{blur},\n{settings}"
+        settings = f"tolerance={self.tolerance:g}, {self.color_space}{options}"
+        return f"{self.medium!r},\n{blur},\n{settings}"

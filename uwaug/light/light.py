@@ -55,9 +55,6 @@ class Lamp:
         aim: direction of the axis, of any length.
         cone: half-angle, degrees, 1…90; the light fades over its outer half. None: to all sides.
         color: light in the channels of the picture, each ≥ 0.
-
-    Raises:
-        TypeError, ValueError: if a number is outside its domain, or a vector has not three.
     """
 
     position: Vector = (0.4, -0.3, 0.0)
@@ -68,9 +65,8 @@ class Lamp:
 
     def __post_init__(self) -> None:
         limits = {"position": (-1e4, 1e4), "aim": (-1e4, 1e4), "color": (0.0, math.inf)}
-        for name, (low, high) in limits.items():
-            vector = checks.vector(name, getattr(self, name), low, high)
-            object.__setattr__(self, name, vector)
+        for name, ends in limits.items():
+            object.__setattr__(self, name, checks.vector(name, getattr(self, name), *ends))
         if math.hypot(*self.aim) < 1e-6:
             raise ValueError(f"aim must point somewhere, got {self.aim}")
         checks.within("power", self.power, 0.0)
@@ -121,9 +117,6 @@ class Light:
         pitch: angle of the camera's axis above the horizon, degrees, −90…90, or a tensor of one for
             each picture (B), which may learn, see `uwaug.light.direction`. None: alike all around.
 
-    Raises:
-        TypeError, ValueError: if a lamp is no `Lamp`, or a number is outside its domain.
-
     Examples:
         >>> headlight = Lamp((0.3, -0.2, 0.0), power=4.0, aim=(-0.1, 0.1, 1.0), cone=40.0)
         >>> Light([headlight], daylight=0.2).lamps[0].power
@@ -172,16 +165,15 @@ class Light:
     def lit(
         self, water: Medium, rays: Rays, z: Tensor, density: float | Tensor = 1.0
     ) -> tuple[Tensor, Tensor]:
-        """Light of the lamps that arrives from a white scene at each pixel (Bx3xHxW, or
-        Bx3x3xHxW), and their fog (Bx3xHxW), in a water from `uwaug.Medium.under_lamp`, at distances
-        z (Bx1xHxW), m. The density is the medium field.
+        """Light of the lamps from a white scene at each pixel (Bx3xHxW, or Bx3x3xHxW), and their
+        fog (Bx3xHxW), in a water from `uwaug.Medium.under_lamp`, at distances z (Bx1xHxW), m, with
+        the density of the medium field.
         """
         sent = [lamp.sent(rays, z) for lamp in self.lamps]
-        fogs = []
-        for lamp, light in zip(self.lamps, sent, strict=True):
-            veil = lamp.dyed(water.veil_weights)
-            fog = backscatter(water.G, veil, light.nearest, light.height, light.cone, z, density)
-            fogs.append(fog)
+        fogs = [
+            backscatter(water.G, lamp.dyed(water.veil_weights), *light[2:], z, density)
+            for lamp, light in zip(self.lamps, sent, strict=True)
+        ]
         return self._arriving(water, sent, z, density), sum(fogs[1:], fogs[0])
 
     def _arriving(

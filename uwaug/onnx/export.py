@@ -4,8 +4,7 @@ import json
 import logging
 import os
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,7 +23,7 @@ from uwaug.blur.plan import BlurPlan
 from uwaug.formation.demand import SIDES
 from uwaug.formation.image import form
 from uwaug.formation.setting import Setting
-from uwaug.formation.underwater import Underwater
+from uwaug.formation.underwater import EXPORTS, Underwater
 from uwaug.light import Lamp
 from uwaug.onnx.blurs import Blurs
 from uwaug.onnx.check import check_onnx, plan_of
@@ -34,7 +33,6 @@ from uwaug.optics.medium import Medium
 
 _OPSET = 18  # operator set of the file, the first that can add scattered values
 _IR = 8  # version of the file's format, the lowest for this set: older runtimes refuse newer ones
-_TORCH = (2, 13)  # oldest release of torch that exports; 2.6 cannot trace free sizes
 # names of free sizes
 _FREE = {
     "B": "batch",
@@ -58,8 +56,6 @@ def export_onnx(
 ) -> Path:
     """Write a module as an ONNX file that needs no uwaug to run.
 
-    Inputs and output stand in `uwaug/onnx/README.md`.
-
     Args:
         module: with a `distance_range` and `sides`, which fix the plan of the blur. Learnable
             numbers are written as they stand.
@@ -79,9 +75,8 @@ def export_onnx(
     """
     path = Path(path)
     onnx, *_ = require("onnx", "onnx", "onnxscript", "onnxruntime")
-    if tuple(int(part) for part in torch.__version__.split(".")[:2]) < _TORCH:
-        wanted = ".".join(map(str, _TORCH))
-        raise ImportError(f"to export needs torch ≥ {wanted}, here is {torch.__version__}")
+    if not EXPORTS:
+        raise ImportError(f"to export needs torch ≥ 2.13, here is {torch.__version__}")
     _require_exportable(module, coefficients)
     if progress is None:
         _log.warning("uwaug exports %s: half a minute to three", path)
@@ -89,17 +84,12 @@ def export_onnx(
     tell("tracing")
     with written_whole(path) as part:
         onnx.save(_model(module, coefficients, tell), part)
-        try:
-            check_onnx(part, module, progress=tell)
-        except ValueError as error:
-            # nobody sees the part
-            raise ValueError(str(error).replace(str(part), str(path))) from error
+        check_onnx(part, module, progress=tell)
     return path
 
 
 def _require_exportable(module: Underwater, coefficients: bool) -> None:
-    cure = "; export Underwater(Medium.stack(…)) with coefficients=True to change the water"
-    checks.instance("module", module, Underwater, cure)
+    checks.instance("module", module, Underwater)
     if module.sides is None:
         cure = f"give Underwater(…, distance_range=(near, far), sides={SIDES})"
         raise ValueError(f"module has no plan of the blur for pictures of any size: {cure}")
@@ -127,7 +117,6 @@ class _TracedLamp(Lamp):
 
 
 def _traced(setting: Setting, numbers: dict[str, Tensor]) -> Setting:
-    """A setting in a graph, whose numbers by the names of `coefficients_of` are tensors."""
     of_medium: dict[str, Any] = {n: x for n, x in numbers.items() if n in Medium.TENSORS}
     medium = _Traced(**of_medium, law=setting.medium.law)
     if setting.light is None:
@@ -194,7 +183,10 @@ def _model(module: Underwater, coefficients: bool, tell: Callable[[str], None]) 
     graph = Graph(module, plan).eval()
     examples = _examples(graph, coefficients)
     values, sizes = zip(*examples.values(), strict=True)
-    with torch.no_grad(), _quiet():
+    # two messages of the exporter, on what lies in torchvision and inside torch
+    logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
+    with torch.no_grad(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*LeafSpec", category=FutureWarning)
         program = torch.export.export(
             graph,
             values,
@@ -255,20 +247,3 @@ def _drop_traces(graph: Any) -> None:
         part.ClearField("doc_string")
     del graph.value_info[:]
     graph.ClearField("metadata_props")
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence two messages of the exporter, on what lies inside torch and in torchvision."""
-    log = logging.getLogger("torch.onnx._internal.exporter._registration")
-
-    def mute(record: logging.LogRecord) -> bool:
-        return "torchvision is not installed" not in record.getMessage()
-
-    log.addFilter(mute)
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message=".*LeafSpec", category=FutureWarning)
-            yield
-    finally:
-        log.removeFilter(mute)

@@ -46,7 +46,6 @@ INPUTS = {
 
 
 def described(name: str) -> str:
-    """Shape, meaning and unit of an input; of a further tensor of a medium, shape and name."""
     if name in INPUTS:
         return INPUTS[name]
     return f"{'x'.join(Medium.TENSORS[name]).replace('C', '3')}, uwaug.Medium.{name}"
@@ -68,7 +67,6 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
 
 
 def arguments_of(module: Underwater) -> dict[str, Any]:
-    """Arguments of `Underwater.of` by name."""
     names = ("setting", "distance_range", "tolerance", "sides")
     return {name: getattr(module, name) for name in names}
 
@@ -80,8 +78,7 @@ def module_of(path: str | os.PathLike[str], metadata: dict[str, str]) -> Underwa
         # metadata of a stranger's file make nothing but a setting
         return Underwater.of(**{key: from_plain(x, Setting) for key, x in arguments.items()})
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-        cause = f"{type(error).__name__}: {error!s:.200}"
-        raise ValueError(f"{path}: its metadata are damaged ({cause})") from error
+        raise ValueError(f"{path}: its metadata are damaged ({error!r:.200})") from error
 
 
 def coefficients_of(medium: Medium, light: Light | None = None) -> dict[str, Tensor]:
@@ -111,8 +108,7 @@ def input_rows(media: Mapping[str, Medium], light: Light | None = None) -> dict[
 
 
 class OnnxUnderwater:
-    """Exported file that is called like its module. It can be pickled, and so live in DataLoader
-    workers.
+    """Exported file that is called like its module; it can live in DataLoader workers.
 
     Args:
         path: of the file.
@@ -144,7 +140,9 @@ class OnnxUnderwater:
             medium: one, or one for each image; only for a file with coefficients as inputs.
             light: another pitch, and other powers and colors of the file's lamps; likewise.
         """
-        pictures, maps = map(_tensor, (image, distance))
+        pictures, maps = (
+            torch.from_numpy(x) if isinstance(x, np.ndarray) else x for x in (image, distance)
+        )
         setting = self.module.setting
         validate(pictures, maps, medium or setting.medium[0], color_space=setting.color_space)
         of_bytes = pictures.dtype == torch.uint8
@@ -169,24 +167,22 @@ class OnnxUnderwater:
 
     def _coefficients(self, medium: Medium | None, light: Light | None) -> dict[str, Tensor]:
         """Check medium and light, and return their numbers as the file takes them."""
-        if (medium is not None) != (self.metadata["uwaug_coefficients"] == "inputs"):
-            verb = "needs one" if medium is None else "takes none: export with coefficients=True"
-            raise ValueError(f"medium: the file {verb}")
-        if medium is None:
-            if light is not None:
-                raise ValueError("light: the file takes none: export with coefficients=True")
+        if self.metadata["uwaug_coefficients"] != "inputs":
+            if medium is not None or light is not None:
+                raise ValueError("medium, light: the file takes none: export with coefficients")
             return {}
+        if medium is None:
+            raise ValueError("medium: the file needs one")
         own = self.module.setting
         if light is not None and _geometry(light) != _geometry(own.light):
-            kind = f"lamps of other power and color, and another pitch, in {own.light}"
-            raise ValueError(f"light: the file takes {kind}; got {light}")
+            expected = f"{own.light} with other powers, colors and pitch"
+            raise ValueError(f"light: the file takes {expected}; got {light}")
         if medium.snow:
             raise ValueError("medium has marine snow, which no file can draw: with_snow(None)")
         if medium.law != own.medium.law:
             raise ValueError(f"medium: its law must be {own.medium.law}, got {medium.law}")
         if not self.module.plans_for(medium):
-            cure = "export a module of this water, too: Underwater(Medium.stack(…))"
-            raise ValueError(f"medium: its widths lie beyond the plan of the file; {cure}")
+            raise ValueError("medium: its widths lie beyond the plan of the file: export it, too")
         rows = coefficients_of(medium, light or own.light)
         of_file = coefficients_of(own.medium, own.light)
         if any(rows[name].ndim > of_file[name].ndim for name in rows):
@@ -200,7 +196,3 @@ def _geometry(light: Light | None) -> Any:
         return None
     lamps = tuple(replace(lamp, power=1.0, color=(1.0, 1.0, 1.0)) for lamp in light.lamps)
     return lamps, light.daylight, light.pitch is None
-
-
-def _tensor(value: Any) -> Any:
-    return torch.from_numpy(value) if isinstance(value, np.ndarray) else value

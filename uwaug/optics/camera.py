@@ -1,6 +1,7 @@
 """Cameras: responses of red, green and blue by wavelength."""
 
 import os
+import re
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
@@ -13,17 +14,13 @@ from uwaug._support.types import Array
 from uwaug.optics.spectra import WAVELENGTHS, Spectra, read_spectra, spectrum, wavelength_axis
 
 _CHANNELS = ("red", "green", "blue")
-# cameras of colour-science, in the folder `cameras`
-_FILES = {
-    "Nikon 5100 (NPL)": "nikon-5100-npl.csv",
-    "Sigma SDMerill (NPL)": "sigma-sdmerill-npl.csv",
-}
+_NAMES = ("Nikon 5100 (NPL)", "Sigma SDMerill (NPL)")  # of colour-science, in the folder `cameras`
 
 
 @plain
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Camera(Spectra):
-    """The spectral response of a camera. Immutable; equality goes by content.
+    """The spectral response of a camera.
 
     Args:
         wavelengths (N array): wavelengths [nm], strictly ascending, N ≥ 1.
@@ -35,11 +32,7 @@ class Camera(Spectra):
             `uwaug.optics.surfaces` as they are.
 
     Attributes are the arguments, the arrays as read-only float64 copies. Between its wavelengths a
-    response is linear.
-
-    Raises:
-        TypeError, ValueError: if an array is no such spectrum, a channel responds to nothing, or
-            the matrix cannot be inverted or scaled.
+    response is linear. A ValueError if a channel responds to nothing.
 
     Examples:
         >>> Camera([450, 550, 600], [[0, 0, 1], [0, 1, 0], [1, 0, 0]], name="laser lines")
@@ -73,16 +66,9 @@ class Camera(Spectra):
         return np.stack(rows, 1)
 
     def weights(self, wavelengths: ArrayLike) -> Array:
-        """Quadrature weights: ∫ S_c(λ) f(λ) dλ ≈ Σ_i weights[i, c] f(λ_i), with ∫ S_c = 1.
-
-        This is the rectangle rule: each sample stands for half the way to either neighbour, the
-        first and last for a whole step (``numpy.gradient``).
-
-        Args:
-            wavelengths (M array): wavelengths [nm], strictly ascending.
-
-        Returns:
-            Weights (M, 3) ≥ 0; each column sums to 1. ValueError if a channel has no response.
+        """Quadrature weights (M, 3) ≥ 0 at wavelengths (M array) [nm], strictly ascending:
+        ∫ S_c(λ) f(λ) dλ ≈ Σ_i weights[i, c] f(λ_i), with ∫ S_c = 1, by the rectangle rule. A
+        ValueError if a channel has no response there.
 
         Examples:
             >>> camera = Camera([400, 700], [[0, 1, 1], [1, 1, 0]])
@@ -105,9 +91,6 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
             object) whose rows are wavelength [nm], R, G, B, separated by commas, with or without
             one header line.
 
-    Raises:
-        TypeError, ValueError: if it is none of these, or the file no such table (with the line).
-
     Source of the named cameras: Darrodi et al., *Reference data set for camera spectral sensitivity
     estimation*, JOSA A 32 (2015), measured at NPL, as packaged by colour-science (BSD-3-Clause).
     """
@@ -117,7 +100,10 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
         raise TypeError(f"camera must be a name, a CSV file or a Camera, got {camera!r:.80}")
     if not isinstance(camera, str) or camera.lower().endswith(".csv"):
         return _read_csv(Path(camera))
-    return _named(_plain_name(camera))
+    for name in _NAMES:
+        if _letters(name) == _letters(camera):
+            return _measured(name)
+    raise ValueError(f"camera must be one of {', '.join(_NAMES)}, or a .csv file; got {camera!r}")
 
 
 @lru_cache(maxsize=16)
@@ -138,8 +124,8 @@ def require_covered(camera: Camera, low: float, high: float) -> None:
     shares = camera.weights(WAVELENGTHS)[inside].sum(0).tolist()
     for channel, share in zip(_CHANNELS, shares, strict=True):
         if share < _MIN_COVERED_SHARE:
-            covered = f"{share:.0%} of what {channel} of camera {camera.name!r} sees"
-            raise ValueError(f"water covers {low:g}–{high:g} nm, {covered}")
+            sees = f"{share:.0%} of what {channel} of camera {camera.name!r} sees"
+            raise ValueError(f"water covers {low:g}–{high:g} nm, {sees}")
 
 
 def _matrix(values: ArrayLike) -> Array:
@@ -155,24 +141,20 @@ def _matrix(values: ArrayLike) -> Array:
 
 
 def _require_response(values: Array, subject: str) -> None:
-    peaks = dict(zip(_CHANNELS, values.max(axis=0), strict=True))
-    dark = [channel for channel, peak in peaks.items() if peak == 0]
+    dark = [channel for channel, peak in zip(_CHANNELS, values.max(0), strict=True) if peak == 0]
     if dark:
         raise ValueError(f"{subject} has no response in {' and '.join(dark)}")
 
 
-def _plain_name(name: str) -> str:
+def _letters(name: str) -> str:
     return "".join(filter(str.isalnum, name.casefold()))
 
 
 @cache
-def _named(plain_name: str) -> Camera:
-    for name, file in _FILES.items():
-        if _plain_name(name) == plain_name:
-            camera = _read_csv(Path(__file__).parent / "cameras" / file)
-            return Camera(camera.wavelengths, camera.response, name)
-    names = ", ".join(map(repr, _FILES))
-    raise ValueError(f"no camera is called so; there are {names}, or give the path of a .csv file")
+def _measured(name: str) -> Camera:
+    file = re.sub(r"\W+", "-", name.lower()).strip("-")
+    camera = _read_csv(Path(__file__).parent / "cameras" / f"{file}.csv")
+    return Camera(camera.wavelengths, camera.response, name)
 
 
 def _read_csv(path: Path) -> Camera:

@@ -28,14 +28,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
-from uwaug._support import checks
 from uwaug._support.codec import plain
 from uwaug._support.nouns import Noun, number
-from uwaug._support.ranges import Range, read_range
+from uwaug._support.ranges import Range, as_range, read_range
 from uwaug._support.types import Array
 from uwaug.optics.spectra import WAVELENGTHS, read_spectra
 
@@ -69,15 +68,11 @@ SCATTERED_BY_MINERALS = 1.1513 * (400 / WAVELENGTHS) ** 1.7
 @plain
 @dataclass(frozen=True)
 class Constituents(Noun):
-    """Contents of a water: numbers, or ranges from which `RandomUnderwater` draws for each picture.
-
-    A range (low, high) is drawn uniformly in its logarithm.
+    """Contents of a water: numbers, or ranges (low, high) from which `RandomUnderwater` draws for
+    each picture, uniformly in the logarithm.
 
     Args:
         chlorophyll, cdom, minerals: amounts, see `Water.from_constituents`.
-
-    Raises:
-        TypeError, ValueError: if one is no number ≥ 0, and no range that rises from above 0.
 
     Examples:
         >>> lakes = Constituents(chlorophyll=(1, 50), cdom=(0.2, 5), minerals=1)
@@ -93,12 +88,11 @@ class Constituents(Noun):
 
     def __post_init__(self) -> None:
         for name, unit in UNITS.items():
-            value = getattr(self, name)
-            alone = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-            expected = f"a number ≥ 0 or (low, high) with 0 < low ≤ high, in {unit}"
-            low, high = checks.pair(name, (value, value) if alone else value, expected)
-            if not (0 < low <= high < math.inf or low == high == 0):
-                raise ValueError(f"{name} must be {expected}; got {value!r}")
+            low, high = as_range(name, getattr(self, name), 0.0, MAX_CONTENT, unit)
+            if low == 0 < high:  # its logarithm is drawn
+                raise ValueError(
+                    f"{name} must be 0 or lie above it, got a range from 0 to {high:g}"
+                )
             object.__setattr__(self, name, low if low == high else (low, high))
 
     @classmethod
@@ -119,7 +113,11 @@ class Constituents(Noun):
     @property
     def name(self) -> str:
         """Contents that are not 0, as `parse` reads them."""
-        texts = [f"{name}={_text(getattr(self, name))}" for name in UNITS if getattr(self, name)]
+        texts = []
+        for name, value in self.amounts.items():
+            ends = value if isinstance(value, tuple) else (value,)
+            if any(ends):
+                texts.append(f"{name}={':'.join(repr(end).removesuffix('.0') for end in ends)}")
         return ",".join(texts) or "chlorophyll=0"
 
     @property
@@ -128,20 +126,15 @@ class Constituents(Noun):
         return not self.random()
 
     @property
-    def amounts(self) -> dict[str, float]:
-        """Amount of each content, of one water."""
+    def amounts(self) -> dict[str, Any]:
+        """Amount of each content, or its range."""
         return asdict(self)
 
     def holds(self, amounts: Mapping[str, float]) -> bool:
         """True if a water with these amounts can be drawn."""
-        if amounts.keys() != self._ends.keys():
-            return False
-        return all(low <= amounts[n] <= high for n, (low, high, _) in self._ends.items())
-
-
-def _text(value: Range) -> str:
-    numbers = value if isinstance(value, tuple) else (value,)
-    return ":".join(repr(number).removesuffix(".0") for number in numbers)
+        ends = self._ends
+        same = amounts.keys() == ends.keys()
+        return same and all(low <= amounts[n] <= high for n, (low, high, _) in ends.items())
 
 
 def optical_properties(amounts: Mapping[str, float]) -> Array:

@@ -22,7 +22,6 @@ class Curves(NamedTuple):
     veil: Tensor
 
     def image(self, J: Tensor, soft: Tensor) -> Tensor:
-        """D + F + B (Bx3xHxW) of light J and its blur."""
         return self.veil + passed(self.direct, J) + passed(self.scatter, soft)
 
     def parts(self, J: Tensor, soft: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -42,7 +41,6 @@ class Sums(NamedTuple):
 
     @property
     def is_spectral(self) -> bool:
-        """True for surfaces with spectra."""
         return self.weights.shape[1] == 21
 
 
@@ -85,7 +83,6 @@ def _mixed(weights: Tensor, light: Tensor) -> tuple[Tensor, ...]:
 
 
 def _parts(rows: Tensor) -> list[Tensor]:
-    """Split rows (Bx9xR or Bx21xR) into those of the three curves."""
     count = (rows.shape[1] - 3) // 2
     # gradients of slices would each fill all rows with zeros
     return list(torch.split(rows, [count, count, 3], 1))
@@ -123,7 +120,6 @@ def added(first: Curves, second: Curves) -> Curves:
 
 
 def decay(rates: Tensor, z: Tensor) -> Tensor:
-    """e^(−rate·z), of shapes that broadcast."""
     if torch.compiler.is_compiling():
         return torch.exp(-rates * z)  # ONNX has no exp2
     return (rates * -_LOG2E * z).exp2_()  # four times as fast as exp

@@ -36,8 +36,8 @@ def repaired_table(type: str, source: str) -> tuple[Array, dict[str, Array], lis
     rows = _rows(source)
     types = dict.fromkeys(row["type"] for row in rows)
     if type not in types:
-        names = ", ".join(types)
-        raise ValueError(f"type must be one of {names} with source {source!r}, got {type!r}")
+        names = f"{', '.join(types)} with source {source!r}"
+        raise ValueError(f"type must be one of {names}, got {type!r}")
     axis, *spectra = (
         np.array([float(row[key]) for row in rows if row["type"] == type])
         for key in ("wavelength", "a", "b", "kd")

@@ -13,8 +13,7 @@ with S_c·ρ_j for S_c. S is the response of the camera with its colour matrix, 
 (see `uwaug.optics.surfaces`).
 
 The rates belong to the water and serve all three channels, and signal and veil alike; only the
-weights belong to the camera. (For a tolerance of .002, one Gauss quadrature per curve and channel
-needs 15 to 24 exponentials, shared rates need 4 to 8.)
+weights belong to the camera.
 """
 
 import math
@@ -148,9 +147,8 @@ class Medium:
     def of_plain(**values: Any) -> "Medium":
         """A medium of stored numbers, or, as a person writes them, as `from_coefficients`."""
         if "direct_weights" not in values:
-            if "point_spread" in values:
-                values["point_spread"] = from_plain(values["point_spread"], PointSpread)
-            return Medium.from_coefficients(**values)
+            law = from_plain(values.pop("point_spread", None), PointSpread)
+            return Medium.from_coefficients(**values, point_spread=law)
         stored = values.keys() & Medium.TENSORS
         tensors = {name: torch.tensor(values[name], dtype=torch.float64) for name in stored}
         return Medium(**values | tensors)
@@ -175,8 +173,7 @@ class Medium:
                 `uwaug.load_water`.
             camera: a name, the path of a CSV file (see `uwaug.load_camera`), or a `Camera`.
             vertical_depth: d, depth of the scene below the surface, m, ≥ 0.
-            g: share of the scattered light that leaves the line of sight, 0…1; not the asymmetry of
-                a phase function, see `uwaug.Scattering`.
+            g: share of the scattered light that leaves the line of sight, 0…1.
             mu: share of the scattered light that is sent towards the camera, 0…1; None for 1.5·g.
             point_spread: width law, by default `PointSpread.calibrated()`; the paper's presets say
                 `PointSpread.paper()` and g = .2.
@@ -189,7 +186,6 @@ class Medium:
 
         Raises:
             TypeError, ValueError: if an argument is no water, no number, or outside its domain.
-            OSError: if the file of the water or the camera cannot be read.
         """
         water = load_water(water)
         if mu is None:
@@ -273,19 +269,14 @@ class Medium:
         media = list(media)
         for medium in media:
             checks.instance("media", medium, Medium, "; see Medium.from_water")
-        if not media:
-            raise ValueError("media is empty: stack needs at least one Medium")
-        laws = {medium.law for medium in media}
-        if len(laws) > 1:
-            got = ", ".join(sorted(map(str, laws)))
-            raise ValueError(f"media must share one law of point spreads, got {got}")
+        if len(laws := {medium.law for medium in media}) != 1:
+            raise ValueError(f"media must share one law of point spreads, got {laws or 'no media'}")
         if any(medium.knows_lamps for medium in media):
             media = [medium.lamplit() for medium in media]
         tensors = {name: padded([getattr(m, name) for m in media]) for name in Medium.TENSORS}
         notes = sum((medium.notes for medium in media), ())
-        snow: tuple[MarineSnow | None, ...] = ()
-        if any(medium.snow for medium in media):
-            snow = sum((medium.snow or (None,) * len(medium) for medium in media), ())
+        snow: Any = sum((medium.snow or (None,) * len(medium) for medium in media), ())
+        snow = snow if any(snow) else ()
         return Medium(**tensors, law=media[0].law, notes=notes, snow=snow)
 
     def with_snow(self, snow: MarineSnow | None) -> "Medium":
@@ -304,10 +295,8 @@ class Medium:
         checks.within("factor", factor, 0.0)
         rates = ("beta", "G", "b_mean", "lamp_beta", "lamp_G", "lamp_veil_weights")
         scaled = {name: factor * getattr(self, name) for name in rates}
-        return replace(self, **scaled, notes=self._noted(f"{factor:g} times as much in the water"))
-
-    def _noted(self, change: str) -> tuple[str, ...]:
-        return tuple(f"{note}; {change}" for note in self.notes)
+        notes = tuple(f"{note}; {factor:g} times as much in the water" for note in self.notes)
+        return replace(self, **scaled, notes=notes)
 
     def __len__(self) -> int:
         return self.beta.shape[0] if "beta" in vars(self) else 1
@@ -461,8 +450,7 @@ class Medium:
 
     def without_lamps(self) -> "Medium":
         """The medium without rates of its own under lamps."""
-        none = torch.zeros((), device="cpu")
-        nothing: dict[str, Any] = {f"lamp_{name}": none for name in OF_LAMPS}
+        nothing: Any = {f"lamp_{name}": torch.zeros((), device="cpu") for name in OF_LAMPS}
         return replace(self, **nothing)
 
     def lamplit(self) -> "Medium":
@@ -546,7 +534,8 @@ class Medium:
                 gained[name] = mixed(gain, weights)
             elif "C" in axes:
                 gained[name] = gain.reshape(len(gain), -1, *[1] * (weights.ndim - 2)) * weights
-        return replace(wide, **gained, notes=wide._noted("brightened"))
+        notes = tuple(f"{note}; brightened" for note in wide.notes)
+        return replace(wide, **gained, notes=notes)
 
     def in_pixels(self, size: Size, view: View) -> "Medium":
         """The medium whose widths are px of an image of (height, width) `size`."""
@@ -557,10 +546,8 @@ class Medium:
 
     def width(self, z: Tensor) -> Tensor:
         """σ(z) at distances (B or 1, 1, H, W), m, in units of the law."""
-        b_mean, scale, exponent = (
-            getattr(self, name).reshape(-1, 1, 1, 1).to(z) for name in _OF_WIDTHS
-        )
-        width: Tensor = widths(z.clamp(max=FARTHEST), b_mean, scale, exponent)
+        numbers = (getattr(self, name).reshape(-1, 1, 1, 1).to(z) for name in _OF_WIDTHS)
+        width: Tensor = widths(z.clamp(max=FARTHEST), *numbers)
         return width
 
     @property
@@ -569,9 +556,8 @@ class Medium:
         if not bool((self.scale != 0).any()):
             return "no blur"
         units = {"px": "px", "paper": "px at 518 px short side", "focal": "focal lengths"}
-        unit = units[self.law.unit]
-        scale, exponent = _short(self.scale), _short(self.exponent)
-        return f"{self.law.shape} σ = {scale}·(b̄ z)^{exponent} {unit}"
+        width = f"{_short(self.scale)}·(b̄ z)^{_short(self.exponent)}"
+        return f"{self.law.shape} σ = {width} {units[self.law.unit]}"
 
     def __repr__(self) -> str:
         more = f", and {len(self) - 1} more" if len(self) > 1 else ""
@@ -614,9 +600,8 @@ def _rows(coefficients: Mapping[str, Any]) -> dict[str, Tensor]:
         if row.shape[is_batch:] != shape:
             expected = "a number or (B,)" if name == "b_mean" else "(3,) or (B, 3)"
             raise ValueError(f"{name} must have shape {expected}, got {tuple(row.shape)}")
-        numbers = row.detach()
-        if not bool(((numbers >= 0) & numbers.isfinite()).all()):
-            raise ValueError(f"{name} must be finite and ≥ 0, got {numbers.tolist()}")
+        if not bool(((row >= 0) & row.isfinite()).all()):
+            raise ValueError(f"{name} must be finite and ≥ 0, got {row.tolist()}")
         rows[name] = row if is_batch else row[None]
     batches = {name: len(row) for name, row in rows.items()}
     checks.batches(batches)

@@ -35,7 +35,6 @@ def default_bands(water: Water) -> Array:
 
 
 def attenuations(a: Array, b: Array, g: float | Array) -> tuple[Array, Array]:
-    """β = a + b and G = a + g·b [1/m] at each band."""
     return a + b, np.maximum(a + g * b, _MIN_G)
 
 
@@ -75,10 +74,8 @@ def reduced(
         dry, _ = _reduced_curves(beta, G, measured, response * b / b_scale, tolerance)
         dry["veil_weights"] = b_scale * dry["veil_weights"]
         arrays |= {f"lamp_{name}": array for name, array in dry.items()}
-    note = (
-        f"{water.name}: {len(arrays['beta'])} + {len(arrays['G'])} rates, curves "
-        f"within {error:.1g} at any distance, {vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
-    )
+    rates = f"{len(arrays['beta'])} + {len(arrays['G'])} rates, curves within {error:.1g}"
+    note = f"{water.name}: {rates}, {vertical_depth:g} m deep, g = {g:g}, μ = {mu:g}"
     note += "" if basis is None else ", surfaces = spectral"
     if (brightest := float(veil.sum(1).max())) > _BRIGHT_VEIL:
         note += f"; veil of {brightest:.2g} times white"

@@ -6,7 +6,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from uwaug._support import checks
 from uwaug._support.types import Array
 from uwaug.optics.constituents import pure_water
 
@@ -58,20 +57,17 @@ class Scattering:
             values (N): > 0, in any unit. Between angles their logarithms are linear in that of the
                 angle, as is below the first; beyond the last they are constant.
 
-        Raises:
-            ValueError: if angles or values are none, or forward light grows without end.
+        A ValueError if they are none such, or forward light grows without end.
         """
         degrees, values = np.array(angles, float), np.array(values, float)
         if degrees.ndim != 1 or degrees.shape != values.shape or len(degrees) < 2:
-            raise ValueError(
-                f"angles and values must be rows (N), got {degrees.shape}, {values.shape}"
-            )
+            shapes = f"{degrees.shape}, {values.shape}"
+            raise ValueError(f"angles and values must be rows (N), got {shapes}")
         first, last = degrees[[0, -1]]
-        rises = bool((np.diff(degrees) > 0).all())
-        if not (rises and 0 <= first <= _FIRST_DEGREES and _LAST_DEGREES <= last <= 180):
-            got = f"{first:g} to {last:g}"
+        is_whole = 0 <= first <= _FIRST_DEGREES and _LAST_DEGREES <= last <= 180
+        if not (is_whole and (np.diff(degrees) > 0).all()):
             expected = f"from 0…{_FIRST_DEGREES:g}° to {_LAST_DEGREES:g}…180°"
-            raise ValueError(f"angles must rise {expected}, got {got}")
+            raise ValueError(f"angles must rise {expected}, got {first:g} to {last:g}")
         if not (np.isfinite(values).all() and values.min() > 0):
             raise ValueError("values must be finite and above 0")
         at, logs = np.log(np.radians(degrees).clip(_LEAST_ANGLE)), np.log(values)
@@ -91,40 +87,18 @@ class Scattering:
             station: such as "AUTEC 8" (clear ocean), "HAOCE 11" (coast) or "NUC 2200" (harbour),
                 with the water's own scattering; None: the mean of the three in the harbour, less
                 pure water, as Mobley takes it for particles everywhere (b_b/b = .0183).
-
-        Raises:
-            KeyError: if there is no such station; lists all.
+                A KeyError lists all.
 
         Source: Petzold, *Volume scattering functions for selected ocean waters*, SIO 72-78 (1972);
         Mobley, Gentili et al., Applied Optics 32 (1993) 7484.
         """
         return Scattering.of_table(*_petzold(station))
 
-    @staticmethod
-    def fournier_forand(n: float, slope: float) -> "Scattering":
-        """Of particles of all sizes, by the closed form of Fournier and Forand.
 
-        Args:
-            n: their refractive index relative to water, 1.01…1.35.
-            slope: of their number by size, a power law, 3.1…4.9. Petzold's average is about
-                n = 1.10 and 3.58.
-
-        Raises:
-            ValueError: if a number is outside its domain.
-
-        Source: Fournier and Jonasz, Proc. SPIE 3761 (1999) 62; Mobley et al., Applied Optics 41
-        (2002) 1035.
-        """
-        checks.within("n", n, 1.01, 1.35)
-        checks.within("slope", slope, 3.1, 4.9)
-        return _of(_fournier_forand(_nodes(), n, slope))
-
-
-# For `PointSpread.calibrated` and a subject that fills the view. μ keeps the paper's μ/g, so that
-# the veil stays below a white plate.
+# For `PointSpread.calibrated` and a subject that fills the view. μ keeps the μ/g of the paper, so
+# that the veil stays below a white plate.
 Scattering.CALIBRATED = Scattering(g=0.05, mu=0.075)
-# for `PointSpread.paper`
-Scattering.PAPER = Scattering(g=0.2, mu=0.3)
+Scattering.PAPER = Scattering(g=0.2, mu=0.3)  # for `PointSpread.paper`
 
 
 def _of(phase: Array) -> Scattering:
@@ -159,12 +133,3 @@ def _petzold(station: str | None) -> tuple[Array, Array]:
     cosine = np.cos(np.radians(degrees))
     water = b * 3 / (4 * np.pi) * (1 + 0.835 * cosine**2) / (3 + 0.835)  # Morel 1974
     return degrees, np.mean([(one.vsf - water) / (one.b - b) for one in harbour], axis=0)
-
-
-def _fournier_forand(angle: Array, n: float, slope: float) -> Array:
-    v, half = (3 - slope) / 2, np.sin(angle / 2) ** 2
-    delta, back = (4 / (3 * (n - 1) ** 2) * x for x in (half, 1.0))
-    ahead = v * (1 - delta) - (1 - delta**v) + (delta * (1 - delta**v) - v * (1 - delta)) / half
-    ahead /= 4 * np.pi * (1 - delta) ** 2 * delta**v
-    aside = (1 - back**v) / (16 * np.pi * (back - 1) * back**v)
-    return np.asarray(ahead + aside * (3 * np.cos(angle) ** 2 - 1))

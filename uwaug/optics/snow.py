@@ -53,13 +53,10 @@ class MarineSnow(Seeded):
             others, evenly spread, send less.
         aperture: focal length of the lens over its f-number, m.
         focus: distance at which the lens is sharp, m.
-        seed: a whole number from 0 to 2^32 − 1, for the same snow in all pictures of a shape, of
-            any size; None for new snow each time. Pictures that are drawn record their own.
+        seed: a whole number from 0 to 2^32 − 1, for the same snow in all pictures of a shape; None
+            for new snow each time.
         drift: distances by which the particles have moved to the right, down and away from the
             camera, m: less its own motion. New ones enter at the side.
-
-    Raises:
-        TypeError, ValueError: if a value is no number, or outside its domain.
 
     Source: G. A. Jackson et al., Deep-Sea Research I 44, 1997: exponents of 2.96 to 3.00 by
     diameters in images, from 1 µm to 1 cm.

@@ -1,10 +1,10 @@
 """Arrays over wavelength: checked, read from files, with value semantics."""
 
-import csv
 import re
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -64,10 +64,9 @@ def wavelength_axis(values: ArrayLike) -> Array:
     axis = _frozen_array("wavelengths", values)
     if axis.ndim != 1 or axis.size == 0:
         raise ValueError(f"wavelengths must be 1-D and not empty, got shape {axis.shape}")
-    drops = np.flatnonzero(~(np.diff(axis) > 0))
-    if drops.size:
-        left, right = axis[drops[0] : drops[0] + 2]
-        raise ValueError(f"wavelengths must be strictly ascending, got {right:g} after {left:g}")
+    for before, after in pairwise(axis):
+        if not before < after:
+            raise ValueError(f"wavelengths must ascend strictly, got {after:g} after {before:g}")
     low, high = axis[[0, -1]]
     if not (low >= 100 and high <= 3000):
         raise ValueError(f"wavelengths must be in nm, between 100 and 3000, got {low:g}…{high:g}")
@@ -80,19 +79,16 @@ def spectrum(name: str, values: ArrayLike, axis: Array, channels: tuple[int, ...
     expected = (*axis.shape, *channels)
     if array.shape != expected:
         raise ValueError(f"{name} must have shape {expected}, as wavelengths, got {array.shape}")
-    for fault, bad in (("NaN or infinite", ~np.isfinite(array)), ("negative", array < 0)):
-        if bad.any():
-            nm = axis[bad.reshape(axis.size, -1).any(axis=1)]
-            places = ", ".join(f"{at:g}" for at in nm[:8]) + (", …" if nm.size > 8 else "")
-            raise ValueError(f"{name} has {bad.sum()} {fault} of {bad.size} values, at {places} nm")
+    bad = ~((array >= 0) & (array < np.inf))
+    if bad.any():
+        at = f"{axis[np.nonzero(bad)[0][0]]:g} nm, and {bad.sum()} of {bad.size} in all"
+        raise ValueError(f"{name} must be finite and ≥ 0, got {array[bad][0]:g} at {at}")
     return array
 
 
 _NO_LETTER = re.compile(r"[\W\d]")
-_IN_BRACKETS = re.compile(r"[\[(](.*)[\])]")
-_METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}
-_PER_LENGTH = re.compile(r"(?:(?:1?/|per)(nm|um|mm|cm|km|m)(?:-1)?|(nm|um|mm|cm|km|m)-1)")
-_OF_WAVELENGTH = re.compile(r"(?<![a-z])(?:(nm|nanomet)|um|micro(?:n|met))(?:er|re)?s?(?![a-z])")
+# as headers write them: "a [1/m]", "b (m^-1)", "K_d/m⁻¹"
+_NM, _PER_METRE = ("", "nm", "/nm"), ("", "1/m", "/m", "m-1", "/m-1")
 
 
 def read_spectra(
@@ -106,72 +102,54 @@ def read_spectra(
         tables: name of each spectrum, and a word that may stand for it, of each table that a header
             may announce; without one it is the first. Cells of a header begin with one of both, in
             any case: "b [1/m]" and "scattering", but not "beta" or "bb".
-        per_metre: spectra are rates, in 1/m or in the units of the header, such as cm^-1.
+        per_metre: spectra are rates: a unit in the header must be 1/m.
         cure: end of the error where the first line is of no such table.
 
     Returns:
-        Arrays (N) by name: "wavelength" [nm], of which a header may say that they are in µm, and
-        the spectra. A file that is no such table is a ValueError that names the line.
+        Arrays (N) by name: "wavelength" [nm], and the spectra. A file that is no such table is a
+        ValueError that names the line.
     """
     require_regular(path)
+    lines = path.read_text("utf-8-sig", errors="replace").splitlines()
+    sign = next((sign for sign in ";\t" if lines and sign in lines[0]), ",")
+    texts = {number: line.split(sign) for number, line in enumerate(lines, 1)}
+    cells = {
+        n: [cell.strip(' "') for cell in row]
+        for n, row in texts.items()
+        if any(map(str.strip, row))
+    }
+    first = min(cells, default=0)
+    announced = [table for table in tables if first and _announces(cells[first][1:], table)]
+    names = ["wavelength", *(announced or tables)[0]]
+    header = cells.pop(first) if announced else []
+    for name, cell in zip(names, header, strict=False):
+        units = _NM if name == "wavelength" else _PER_METRE
+        if (name == "wavelength" or per_metre) and _unit(cell) not in units:
+            raise ValueError(f"{path}: the header gives {name} in another unit than {units[1]}")
     rows: list[list[float]] = []
-    header: Sequence[str] = ()
-    names = ["wavelength", *tables[0]]
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        top = file.readline()
-        file.seek(0)
-        reader = csv.reader(file, delimiter=next((sign for sign in ";\t" if sign in top), ","))
+    for number, row in cells.items():
         try:
-            for row in reader:
-                if not any(cell.strip() for cell in row):
-                    continue
-                is_first = not (header or rows)
-                table = next((table for table in tables if _announces(row[1:], table)), None)
-                if is_first and table is not None:
-                    header, names = row, ["wavelength", *table]
-                    continue
-                try:
-                    rows.append([float(cell.replace(",", ".")) for cell in row])
-                except ValueError:
-                    rows.append([])
-                if len(rows[-1]) != len(names):
-                    # the row is not shown: a preset of somebody else may name a private file
-                    expected = f"numbers {', '.join(names)}, separated by commas or semicolons"
-                    more = f", below a header of these names or none{cure}" if is_first else ""
-                    raise ValueError(f"{path}, line {reader.line_num}: expected {expected}{more}")
-        except csv.Error as error:
-            raise ValueError(f"{path}, line {reader.line_num}: {error}") from None
+            rows.append([float(cell.replace(",", ".")) for cell in row])
+        except ValueError:
+            rows.append([])
+        if len(rows[-1]) != len(names):
+            # the row is not shown: a preset of somebody else may name a private file
+            expected = f"numbers {', '.join(names)}, separated by commas or semicolons"
+            more = f", below a header of these names or none{cure}" if number == first else ""
+            raise ValueError(f"{path}, line {number}: expected {expected}{more}")
     if not rows:
         raise ValueError(f"{path}: no rows of {', '.join(names)}")
-    spectra = dict(zip(names, np.array(rows).T, strict=True))
-    for name, cell in zip(names, header, strict=False):
-        is_axis = name == "wavelength"
-        scale = _scale(cell, is_axis) if is_axis or per_metre else 1.0
-        if scale is None:
-            expected = "nm or µm" if is_axis else "1/m, or such as 1/cm or cm^-1"
-            raise ValueError(f"{path}: the header gives {name} in another unit than {expected}")
-        spectra[name] = spectra[name] * scale
-    return spectra
+    return dict(zip(names, np.array(rows).T, strict=True))
 
 
 def _announces(cells: Sequence[str], spectra: Mapping[str, str]) -> bool:
-    words = [_NO_LETTER.split(cell.strip().lower(), 1)[0] for cell in cells]
+    words = [_NO_LETTER.split(cell.lower(), 1)[0] for cell in cells]
     pairs = zip(words, spectra.items(), strict=False)
     is_whole = len(words) == len(spectra)
     return is_whole and all(word in (name.lower(), other) for word, (name, other) in pairs)
 
 
-def _scale(cell: str, is_axis: bool) -> float | None:
-    """Factor from the unit in a cell of a header to nm or 1/m; None if unknown, 1 without one."""
-    text = unicodedata.normalize("NFKC", cell).lower().replace("μ", "u").replace("\u2212", "-")
-    brackets = _IN_BRACKETS.search(text)
-    if is_axis:
-        if unit := _OF_WAVELENGTH.search(text.replace("_", " ")):
-            return 1.0 if unit[1] else 1e3
-        return None if brackets or "/" in text else 1.0
-    outside = text.strip()[len(_NO_LETTER.split(text.strip(), 1)[0]) :]
-    unit_text = re.sub(r"[\s^{}]", "", brackets[1] if brackets else outside)
-    if unit := _PER_LENGTH.fullmatch(unit_text):
-        return 1 / _METRES[unit[1] or unit[2]]
-    is_unit = unit_text in _METRES or "[" in text or re.search(r"[\d/%-]", unit_text)
-    return None if is_unit else 1.0
+def _unit(cell: str) -> str:
+    """What follows the first word in a cell of a header, without blanks, brackets and ^."""
+    text = unicodedata.normalize("NFKC", cell).lower().replace("\u2212", "-")
+    return re.sub(r"[\s^{}()\[\]]", "", text[len(_NO_LETTER.split(text, 1)[0]) :])

@@ -11,7 +11,7 @@ camera with its matrix: it may be negative, as the matrix takes out of red the g
 let in, and its channels have an integral of 1 as those of S have.
 """
 
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,15 +30,9 @@ _MAX_CONDITION = 1e3  # of M, above which the three channels see the same; usual
 @lru_cache(maxsize=16)
 def reflectances(axis: bytes) -> Array:
     """ρ_R, ρ_G and ρ_B (3, N) at wavelengths, nm, given as the bytes of their array."""
-    table = _table()
-    wavelengths = np.frombuffer(axis)
-    return np.stack([np.interp(wavelengths, table[:, 0], column) for column in table.T[1:]])
-
-
-@cache
-def _table() -> Array:
     file = Path(__file__).parent / "reflectances" / "mallett-yuksel-2019.csv"
-    return np.loadtxt(file, delimiter=",", skiprows=1)
+    nm, *columns = np.loadtxt(file, delimiter=",", skiprows=1).T
+    return np.stack([np.interp(np.frombuffer(axis), nm, column) for column in columns])
 
 
 def through_camera(

@@ -27,8 +27,8 @@ class View:
         degrees: horizontal angle of view, 1…170. It stays when a picture is resized.
         focal_px: focal length, px, in place of degrees. It stays when a picture is cropped. With
             neither, 60° stand for an unknown view, through which no planar map is read.
-        center: column and row, px, where the axis of the camera passes, counted from the middle of
-            the first pixel; None for the middle of the picture.
+        center: column and row of the camera's axis, px from the middle of the first pixel; None for
+            the middle of the picture.
 
     Raises:
         TypeError, ValueError: if a number is outside its domain, or both angle and length come.
@@ -46,10 +46,9 @@ class View:
         if self.degrees is not None:
             checks.within("view: degrees", self.degrees, 1.0, 170.0)
         if self.focal_px is not None:
-            if self.degrees is not None:
-                got = f"got degrees = {self.degrees:g} and focal_px = {self.focal_px:g}"
-                raise ValueError(f"view: degrees and focal_px say the same, {got}: give one")
             checks.positive("view: focal_px", self.focal_px, "px")
+        if self.degrees is not None and self.focal_px is not None:
+            raise ValueError(f"view: degrees and focal_px say the same, got both of {self}")
         if self.center is not None:
             center = checks.pair("view: center", self.center, "(column, row) in px")
             for place in center:
@@ -78,9 +77,8 @@ class View:
     def require(self, width: int) -> None:
         """Refuse a focal length that is not in px of a picture of this width, px."""
         if self.focal_px is not None and width > _WIDEST * self.focal_px:
-            cure = f"a lens of f mm before a sensor w mm wide has f/w·{width} px"
-            got = f"view: focal_px must be in px of the picture, got {self.focal_px:g}"
-            raise ValueError(f"{got}: {cure}")
+            expected = f"in px of the picture, {width}·f/w of a sensor w wide"
+            raise ValueError(f"view: focal_px must be {expected}, got {self.focal_px:g}")
 
     def middle(self, size: Size) -> tuple[float, float]:
         """Column and row, px, of the axis in a picture of (height, width) `size`."""
@@ -90,7 +88,7 @@ class View:
         """Focal length, None of an unknown view, and centre as `uwaug.distance.along_ray` takes
         them, which counts px from the corner of the first pixel.
         """
-        center = None if self.center is None else tuple(place + 0.5 for place in self.center)
+        center = self.center and tuple(place + 0.5 for place in self.center)
         is_known = self.degrees is not None or self.focal_px is not None
         return {"focal_px": self.focal(width) if is_known else None, "center": center}
 
@@ -102,10 +100,7 @@ class View:
     def resized(self, factor: float) -> "View":
         """The view of the picture at `factor` times its size."""
         focal_px = None if self.focal_px is None else self.focal_px * factor
-        center = None
-        if self.center is not None:
-            column, row = ((place + 0.5) * factor - 0.5 for place in self.center)
-            center = column, row
+        center: Any = self.center and tuple((x + 0.5) * factor - 0.5 for x in self.center)
         return View(self.degrees, focal_px, center)
 
     def rays(self, z: Tensor) -> "Rays":

@@ -99,8 +99,7 @@ class Water(Spectra):
         vars(self).update(wavelengths=axis, **rates, name=name, provenance=tuple(provenance))
         low = self.kd < (LEAST_LOSS - _LOSS_ROUNDING) * self.a
         if low.any():
-            places = ", ".join(f"{nm:g}" for nm in axis[low][:8])
-            raise ValueError(f"kd must be a at least; it is less at {places} nm")
+            raise ValueError(f"kd must be a at least; it is less at {axis[low][:8].tolist()} nm")
 
     @property
     def beta(self) -> Array:
@@ -113,16 +112,10 @@ class Water(Spectra):
 
         Args:
             type: one of ``JERLOV_TYPES``, in any case.
-            source: ``"solonenko2015"``, a, b and K_d of all ten types at 300–700 nm; its misprinted
-                rows (3C at 675 and 700 nm, 5C at 600–700 nm) are replaced, see ``provenance``.
-                ``"williamson2022"``, measured a and b of IB to 5C at 310–700 nm, with K_d from
-                Jerlov 1976.
-
-        References:
-            Solonenko and Mobley, *Inherent optical properties of Jerlov water types*, Appl. Opt. 54
-                (2015), Tables 4–8.
-            Williamson and Hollins, *Measured IOPs of Jerlov water types*, Appl. Opt. 61 (2022).
-            Jerlov, *Marine Optics*, Elsevier (1976), Table XXVII. All as packaged by ``jerlov``.
+            source: "solonenko2015", a, b and K_d of all ten types at 300–700 nm (Appl. Opt. 54,
+                Tables 4–8), whose misprinted rows are replaced, see ``provenance``. Or
+                "williamson2022", measured a and b of IB to 5C at 310–700 nm (Appl. Opt. 61), with
+                K_d from Jerlov, *Marine Optics*, 1976.
 
         Examples:
             >>> Water.jerlov("5C").provenance[1][:53]
@@ -203,8 +196,7 @@ class Water(Spectra):
         over the part of 400–700 nm that this water covers (ValueError if there is none). It is inf
         where nothing is attenuated.
 
-        Sources: Duntley, *Light in the sea*, JOSA 53 (1963); Zaneveld and Pegau, *Robust underwater
-        visibility parameter*, Opt. Express 11 (2003).
+        Sources: Duntley, JOSA 53 (1963); Zaneveld and Pegau, Opt. Express 11 (2003).
 
         Examples:
             >>> {t: round(Water.jerlov(t).visibility(), 1) for t in ("I", "IB", "II", "3C", "9C")}
@@ -216,9 +208,8 @@ class Water(Spectra):
         """Share of its luminance contrast that an object at this distance [m] keeps, 0…1: 2 % at
         the ``visibility()``.
 
-        It is the contrast with the open water behind the object, as of a Secchi disc, and depends
-        on the water alone. ``uwaug.contrast_left``, of patterns on an object, depends on depth, g
-        and μ as well: where this is .5, that is .37 to .64 (types 1C, 7C and II, 0 to 10 m).
+        It is the contrast with the open water behind the object, as of a Secchi disc. That of
+        patterns on an object, ``uwaug.contrast_left``, depends on depth, g and μ as well.
         """
         checks.within("metres", metres, *checks.DOMAIN["distance"])
         return self._luminance(self.beta, metres)
@@ -240,17 +231,10 @@ class Water(Spectra):
             a = a_w + s (a − a_w),  b = b_w + s (b − b_w),
             K_d = K_w + s (K_d − K_w),  K_w = a_w + b_w / 2.
 
-        Where a spectrum lies below pure water (noise, or another water table), all of it counts as
-        water. K_d is linear in the contents only to first order.
-
         ValueError if ``contrast`` is more than pure water allows, or nothing but water is there to
-        be scaled; if a number is not positive; if the spectra leave 300–800 nm, where pure water is
-        tabulated.
+        be scaled; if a number is not positive; if the spectra leave 300–800 nm.
 
-        References:
-            a_w: Buiteveld et al. 1994, as used by Williamson and Hollins 2022. b_w: Morel 1974, as
-                printed by Boss and Pegau 2001. K_w: Smith and Baker, *Optical properties of the
-                clearest natural waters*, 1981.
+        Sources: a_w: Buiteveld et al. 1994. b_w: Morel 1974. K_w: Smith and Baker 1981.
 
         Examples:
             >>> hazy = Water.jerlov("1C").with_contrast(0.5, metres=3)
@@ -259,15 +243,12 @@ class Water(Spectra):
         """
         checks.positive("metres", metres)
         checks.positive("contrast", contrast)
-        fine = self._fine()
-        largest = fine._luminance(fine._pure()[:2].sum(0), metres)
-        if contrast > largest:
-            allowed = f"the pure water in {self.name!r} allows, {largest:.4g}"
-            raise ValueError(f"contrast={contrast:g} at {metres:g} m is more than {allowed}")
         name = f"{self.name} with {contrast:g} of the contrast at {metres:g} m"
         factor = self.contents_for(contrast, metres)
+        if factor == 0:
+            raise ValueError(f"{name}: the pure water in it leaves no more")
         if math.isinf(factor):
-            raise ValueError(f"{self.name!r} is but pure water to the eye: nothing to scale")
+            raise ValueError(f"{name}: it is but pure water to the eye, nothing to scale")
         provenance = (*self.provenance, f"{name}: all but pure water scaled by {factor:.4g}")
         return self._scaled(factor, name, provenance)
 
@@ -278,10 +259,9 @@ class Water(Spectra):
         if math.isinf(metres):
             return 1.0
         fine = self._fine()
-        pure = fine._pure()[:2].sum(0)
-        axis = fine.wavelengths
-        axes = *eye(float(axis[0]), float(axis[-1])), axis
-        return _contents_for(contrast, metres, *axes, pure, fine.beta - pure)
+        pure, axis = fine._pure()[:2].sum(0), fine.wavelengths
+        seen = eye(float(axis[0]), float(axis[-1]))
+        return _contents_for(contrast, metres, *seen, axis, pure, fine.beta - pure)
 
     def daylight(self, depth: float) -> float:
         """Share of the surface's luminance that is left at a vertical depth [m]."""
@@ -300,8 +280,6 @@ class Water(Spectra):
             return self
         share = f"{factor:.2g}"
         name = self.name if share == "1" else f"{share}·contents of {self.name}"
-        if factor == 0:
-            name = f"pure water (without contents of {self.name})"
         return self._scaled(factor, name, self.provenance)
 
     def _at_eye(self, rates: Array) -> tuple[Array, Array]:
@@ -315,8 +293,7 @@ class Water(Spectra):
 
     def _pure(self) -> Array:
         """a, b and K_d (3, N) of the pure sea water in this water."""
-        nm = self.wavelengths
-        absorption, scattering = pure_water(nm.tobytes())  # an array is no key
+        absorption, scattering = pure_water(self.wavelengths.tobytes())  # an array is no key
         a, b = np.minimum(self.a, absorption), np.minimum(self.b, scattering)
         return np.array([a, b, np.minimum(self.kd, a + b / 2)])
 
@@ -364,8 +341,8 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
             "chlorophyll=5,cdom=0.3,minerals=1" (see `Water.from_constituents`); or the path of a
             CSV file (a string that ends in ``.csv``, or any path object) whose rows are wavelength
             [nm], a, b, K_d [1/m], separated by commas or semicolons, with or without one header
-            line. A header may name other units, such as µm and 1/cm. A column c may
-            replace b, which is c − a. Without K_d, it follows from a and b.
+            line. A column c may replace b, which is c − a. Without K_d, it follows from a and
+            b.
 
     Raises:
         TypeError, ValueError: if it is none of these, or the file no such table (with the line).
@@ -386,9 +363,8 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
         return Water.from_constituents(name=water.lower(), **PLACES[water.lower()])
     if "=" not in water:
         type = re.sub("^jerlov[ _-]*", "", water, flags=re.IGNORECASE)  # as sheets have it
-        if type.upper() not in JERLOV_TYPES:
-            names = ", ".join((*JERLOV_TYPES, *PLACES, "contents such as 'chlorophyll=5'"))
-            raise ValueError(f"water must be one of {names}, or a .csv file; got {water!r}")
+        kinds = (*JERLOV_TYPES, *PLACES, "contents such as 'chlorophyll=5'", "a .csv file")
+        checks.one_of("water", type.upper(), kinds)
         return Water.jerlov(type)
     contents = Constituents.parse(water)
     if not contents.fixed:
@@ -397,7 +373,6 @@ def load_water(water: "str | os.PathLike[str] | Water") -> Water:
 
 
 def _mixture(text: str) -> Water:
-    """Read a mixture such as 0.7*3C+0.3*7C, which is its name, too."""
     parts = [part.partition("*")[::2] for part in text.split("+")]
     try:
         (first_share, first), (share, second) = ((float(share), name) for share, name in parts)
@@ -415,10 +390,7 @@ def _mixture(text: str) -> Water:
 def _read_csv(path: Path) -> Water:
     a, b, c, kd = ("a", "absorption"), ("b", "scattering"), ("c", "attenuation"), ("K_d", "kd")
     tables = map(dict, ((a, b, kd), (a, c, kd), (a, b), (a, c)))
-    cure = (
-        "; c may stand for b = c − a, and K_d be left out. K_d or a Secchi depth alone leave a and "
-        "b open: take a Jerlov type, or contents, and the contrast that is left at a distance"
-    )
+    cure = "; c may stand for b = c − a, and K_d be left out. Without a and b take a Jerlov type"
     spectra = read_spectra(path, *tables, per_metre=True, cure=cure)
     sources = [f"{', '.join([*spectra][1:])}: {path.name}"]
     try:

@@ -22,16 +22,15 @@ class Weights(NamedTuple):
     exponent: Array
 
     def row(self, n: int) -> "Weights":
-        """The n-th medium, as a batch of one."""
         return self if len(self.beta) == 1 else Weights(*[array[n : n + 1] for array in self])
 
     def brightened(self, gains: Array) -> "Weights":
         """The media as seen by a camera that mixes channels by matrices (B or 1, 3, 3)."""
-        light = {name: mixed(gains, getattr(self, name)) for name in ("direct", "signal", "veil")}
         wide = self
         if len(gains) > len(self.beta):
             wide = Weights(*[array.repeat(len(gains), 0) for array in self])
-        return wide._replace(**light)
+        direct, signal = mixed(gains, self.direct), mixed(gains, self.signal)
+        return wide._replace(direct=direct, signal=signal, veil=mixed(gains, self.veil))
 
     def widths(self, z: Array) -> Array:
         """Widths (BxN) of the forward scatter at distances (N), m, in units of the law."""

@@ -20,7 +20,7 @@ export function waterOf({ water, other, share, chlorophyll, cdom, minerals }, ta
 
 /** uwaug/optics/constituents.py: mg/m³, 1/m at 440 nm, g/m³. */
 function waterWith(chlorophyll, cdom, minerals, { pure, contents, bands, sun, lostByScattering }) {
-  const { at660, exponent } = contents.byPhytoplankton;
+  const [at660, exponent] = contents.byPhytoplankton;
   const slope = Math.min(Math.max((Math.log10(chlorophyll) - 0.3) / 2, -1), 0);
   const a = [], b = [], kd = [];
   for (let i = 0; i < bands.length; i++) {
@@ -77,14 +77,14 @@ const beta = water => join(water.a, water.b, (a, b) => a + b);
 /** Visibility [m]: where 2 % of the contrast are left. */
 export const visibility = (water, tables) => distanceTo(0.02, tables.eye, toEye(beta(water), tables));
 
-/** How many times its contents leave this contrast at a distance [m]; 0 where pure water leaves less. */
+/** How many times its contents leave this contrast at a distance [m], or the most; 0 where pure water leaves less. */
 export function contentsFor(water, contrast, metres, tables) {
   if (metres === Infinity) return 1;
   const pure = pureIn(water, tables), still = join(pure.a, pure.b, (a, b) => a + b);
   const seen = join(tables.eye, toEye(still, tables), (w, rate) => w * Math.exp(-rate * metres));
   if (sum(seen) <= contrast) return 0;
   const contents = toEye(join(beta(water), still, (x, y) => x - y), tables);
-  return distanceTo(contrast, seen, contents.map(rate => rate * metres));
+  return Math.min(distanceTo(contrast, seen, contents.map(rate => rate * metres)), tables.mostContents);
 }
 
 /** No deeper than where a metered exposure can make up for the light. */
@@ -227,12 +227,11 @@ export function waterTable(scene, settings, tables) {
   let water = waterOf(settings, tables), contents = 1;
   if (settings.contrast !== null) {
     contents = contentsFor(water, settings.contrast, scene.median * settings.times, tables);
-    if (contents === Infinity) throw new RangeError("There is nothing in this water that could be scaled.");
     water = withContents(water, contents, tables);
   }
   const depth = depthShown(water, settings.vertical_depth, tables);
   const medium = mediumOf(water, { ...settings, vertical_depth: depth }, tables);
-  const { plan } = tables, { exponent, scale: perPixel, least, most } = tables.law, size = scene.K + 21;
+  const { plan } = tables, { exponent, scale: perPixel, ends: [least, most] } = tables.law, size = scene.K + 21;
   const table = new Float32Array((ENTRIES + 2) * size), row = new Float64Array(size);
   const width = perPixel * settings.blur * scene.width;
   for (let entry = 0; entry <= ENTRIES; entry++) {
@@ -348,7 +347,7 @@ function standardNormals() {
  * `exact` (3 floats a pixel) gets the light after the gamut, before tone and bytes.
  */
 export function form(scene, { table, rise }, gain, { gamut, tone, full_well: well, read_noise: read }, { step = 1, terms, exact }, tables) {
-  const { light, stack, place, K } = scene, size = K + 21, B = K - 1, { from } = tables.tone, beyondFrom = 1 - from;
+  const { light, stack, place, K } = scene, size = K + 21, B = K - 1, from = tables.vividFrom, beyondFrom = 1 - from;
   const width = Math.ceil(scene.width / step), height = Math.ceil(scene.height / step);
   const shown = new Uint8ClampedArray(4 * width * height), bytes = bytesOf(tone, tables.tone);
   const noise = well > 0 ? standardNormals() : null, dark = (read / well) ** 2;

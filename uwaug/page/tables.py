@@ -48,43 +48,36 @@ def plan_of_page() -> BlurPlan:
 
 def tables() -> dict[str, Any]:
     """All numbers, as JSON holds them."""
-    camera, axis = load_camera(RandomWater.camera), WAVELENGTHS.tobytes()
-    law, (least, most) = PointSpread.calibrated(), LENGTHS
+    axis, law = WAVELENGTHS.tobytes(), PointSpread.calibrated()
     waters = {name: Water.jerlov(name).at(WAVELENGTHS) for name in JERLOV_TYPES}
-    absorbed, scattered = constituents.pure_water(axis)
     at_1, exponents = constituents.phytoplankton()
-    at_660, exponent = constituents.SCATTERED_BY_PHYTOPLANKTON
     stored = {
         "bands": WAVELENGTHS,
         "waters": {name: {"a": x.a, "b": x.b, "kd": x.kd} for name, x in waters.items()},
         "words": IN_WORDS,
         "places": constituents.PLACES,
-        "pure": {"a": absorbed, "b": scattered},
+        "pure": dict(zip("ab", constituents.pure_water(axis), strict=True)),
         "contents": {
             "phytoplankton": at_1,
             "exponents": exponents,
             "cdom": constituents.CDOM,
             "absorbed": constituents.ABSORBED_BY_MINERALS,
             "scattered": constituents.SCATTERED_BY_MINERALS,
-            "byPhytoplankton": {"at660": at_660, "exponent": exponent},
+            "byPhytoplankton": constituents.SCATTERED_BY_PHYTOPLANKTON,
         },
         "sun": constituents.MEAN_COSINE,
         "lostByScattering": constituents.LOST_BY_SCATTERING,
         "leastLoss": LEAST_LOSS,
         "eye": eye(*WAVELENGTHS[[0, -1]].tolist())[1],
-        "sensor": response_at(camera, axis),
+        "sensor": response_at(load_camera(RandomWater.camera), axis),
         "reflectances": reflectances(axis),
         "farthest": FARTHEST,
-        "law": {
-            "scale": law.scale * WIDE.focal(1),
-            "exponent": law.exponent,
-            "least": least,
-            "most": most,
-        },
+        "law": {"scale": law.scale * WIDE.focal(1), "exponent": law.exponent, "ends": LENGTHS},
         "luminance": LUMINANCE,
         "reflectance": _REFLECTANCE,
         "dimmest": random_water.DIMMEST,
         "much": random_water.MOST_CONTENTS,
+        "mostContents": 2**random_water.MOST_STOPS,
         "direction": {"view": WIDE_DEGREES, "rise": direction.RISE, "most": direction.MAX_RISE},
         "meter": {
             "count": development.METERED,
@@ -98,11 +91,8 @@ def tables() -> dict[str, Any]:
             "xyz": development.XYZ,
             "leastLight": development.LEAST_LIGHT,
         },
-        "tone": {
-            "from": development.GAMUT_FROM,
-            "grey": development.MID_GREY,
-            "toe": development.TOE,
-        },
+        "tone": {"grey": development.MID_GREY, "toe": development.TOE},
+        "vividFrom": development.GAMUT_FROM,
         "pixels": PIXELS,
         "plan": _plan(plan_of_page()),
         "draws": _draws(),

@@ -72,7 +72,9 @@ def _stored(scene: Scene) -> dict[str, Any]:
     with np.errstate(invalid="ignore"):
         codes = np.where(np.isfinite(z), np.rint(np.log(z / near) / step), _OPEN_CODE)
     steps = np.diff(codes.astype("<u2").ravel(), prepend=np.uint16(0))  # half the bytes
-    packed = zlib.compress(steps.tobytes(), 9)
-    text = {"picture": webp.getvalue(), "distance": packed}
-    encoded = {name: base64.b64encode(data).decode() for name, data in text.items()}
-    return {**encoded, "near": near, "step": float(step)}
+    return {
+        "picture": base64.b64encode(webp.getvalue()).decode(),
+        "distance": base64.b64encode(zlib.compress(steps.tobytes(), 9)).decode(),
+        "near": near,
+        "step": float(step),
+    }

@@ -9,22 +9,15 @@ def list_presets() -> list[str]:
     return sorted(_files())
 
 
-def bundled_preset(name: str) -> Path:
-    """File of a preset that comes with the package."""
-    files = _files()
-    if name not in files:
-        raise ValueError(f"no preset is called {name!r}; there are {', '.join(sorted(files))}")
-    return files[name]
-
-
 def preset_path(name_or_path: str | os.PathLike[str]) -> Path:
     """File of a preset, from its name or its path, see `uwaug.load_preset`."""
     if not isinstance(name_or_path, str) or name_or_path.endswith(".toml"):
         return Path(name_or_path)
-    try:
-        return bundled_preset(name_or_path)
-    except ValueError as error:
-        raise ValueError(f"{error}; or give the path of a .toml file") from None
+    files = _files()
+    if name_or_path not in files:
+        expected = f"{', '.join(sorted(files))}, or the path of a .toml file"
+        raise ValueError(f"preset must be one of {expected}, got {name_or_path!r}")
+    return files[name_or_path]
 
 
 def _files() -> dict[str, Path]:

@@ -30,8 +30,8 @@ def load_preset(
         water, camera: replace the preset's, see `uwaug.load_water` and `uwaug.load_camera`.
 
     Raises:
-        ValueError: the name is unknown (lists all names); the file does not suit (names the key);
-            or water or camera is given where the preset has coefficients.
+        ValueError: the name is unknown; the file does not suit (names the key); or water or camera
+            is given where the preset has coefficients.
         OSError: the file cannot be read.
 
     Examples:
@@ -47,13 +47,13 @@ def load_preset(
         from uwaug.fitting.result import load_fit
 
         if given:
-            _refuse(Path(name_or_path), given)
-        return _of_setting(load_fit(Path(name_or_path)).setting)
+            raise ValueError(f"{name_or_path} holds coefficients: no water or camera replaces them")
+        return _of_setting(load_fit(name_or_path).setting)
     path = preset_path(name_or_path)
     tables = read_tables(path)
     waters = tables["water"].get("waters")
     if given and isinstance(waters, dict) and waters.get("kind") == "Medium":
-        _refuse(path, given)
+        raise ValueError(f"{path} holds coefficients: no water or camera replaces them")
     try:
         return RandomUnderwater.from_dict({**tables, "water": {**tables["water"], **given}})
     except (TypeError, ValueError) as error:
@@ -83,11 +83,6 @@ def _of_setting(setting: Setting) -> RandomUnderwater:
     )
     water = RandomWater(setting.medium, field=None)
     return RandomUnderwater(water, light=setting.light, development=development, view=setting.view)
-
-
-def _refuse(path: Path, given: dict[str, Any]) -> None:
-    what = " or ".join(given).replace("waters", "water")
-    raise ValueError(f"{path} holds coefficients, which no {what} replaces")
 
 
 def _beside(path: Path, value: Any) -> Any:

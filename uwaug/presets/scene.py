@@ -50,19 +50,14 @@ def own_scene(image: Tensor, distance: Tensor, max_pixels: int = _SHEET_PIXELS) 
     """Make a scene of a picture and its distances, reduced to the size on a sheet.
 
     Args:
-        image (3xHxW tensor): sRGB; uint8, or floating point 0…1.
+        image (3xHxW tensor): sRGB; uint8, or floating point 0…1; ten times as long as wide at most.
         distance (1xHxW tensor): along the ray, m, ≥ 0; +inf is open water.
         max_pixels: largest number of pixels; by default that on a sheet.
-
-    Raises:
-        ValueError: if the sizes differ, the picture is more than ten times as long as wide, or
-            image or distance holds other values.
     """
     checks.same_size("distance", distance, image)
     height, width = image.shape[-2:]
     if max(height, width) > _LONGEST_SIDES * min(height, width):
-        expected = f"at most {_LONGEST_SIDES} times as long as wide"
-        raise ValueError(f"image must be {expected}, got {width}×{height} px: crop it")
+        raise ValueError(f"image: {width}×{height} px are too narrow, crop it")
     require_values(image, "srgb")
     checks.distances("distance", distance)
     light = decoded(image, "srgb")

@@ -14,11 +14,10 @@ class _Augment(nn.Module):
         super().__init__()
         self.keys, self.options = keys, options
         self._degrade = system(name)
-        parameters = inspect.signature(self._degrade).parameters
-        for option in options:
-            if option not in parameters:
-                raise TypeError(f"{name} has no {option!r}, only {', '.join(list(parameters)[2:])}")
-        self._draws = "generator" in parameters
+        _, _, *names = inspect.signature(self._degrade).parameters
+        for option in options.keys() - {*names}:
+            raise TypeError(f"{name} has no {option!r}, only {', '.join(names)}")
+        self._draws = "generator" in names
 
     def forward(self, *inputs: Any) -> Any:
         from uwaug.transforms.samples import take_apart
@@ -38,9 +37,6 @@ def augment(
         name: see `system`.
         keys: keys of image and distance (metres) in a dict.
         options: arguments of the system, such as `water`.
-
-    Raises:
-        TypeError, ValueError: if there is no such name or argument; lists all.
 
     Examples:
         >>> import torch, uwaug

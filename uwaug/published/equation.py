@@ -1,10 +1,10 @@
 """Tools of the published systems: light of pictures, the list, integrals over spectra."""
 
-import inspect
 import math
 import os
 from collections.abc import Callable, Sequence
 from functools import wraps
+from inspect import Signature, signature
 from typing import Any, NamedTuple, TypeVar, cast
 
 import torch
@@ -62,6 +62,32 @@ def published(color_space: ColorSpace) -> Callable[[Equation], Equation]:
     return wrap
 
 
+def spectral(color_space: ColorSpace) -> Callable[[Callable[..., Tensor]], Callable[..., Tensor]]:
+    """As `published`, of an equation whose third argument is a `BandedWater`, in place of which the
+    system has a water and a camera.
+    """
+
+    def wrap(equation: Callable[..., Tensor]) -> Callable[..., Tensor]:
+        @wraps(equation)
+        def in_bands(
+            image: Tensor,
+            z: Tensor,
+            water: AnyWater = "II",
+            camera: AnyCamera = "Nikon 5100 (NPL)",
+            **options: Any,
+        ) -> Tensor:
+            return equation(image, z, BandedWater.of(water, camera, z), **options)
+
+        own, theirs = (
+            [*signature(each, follow_wrapped=False).parameters.values()]
+            for each in (in_bands, equation)
+        )
+        in_bands.__signature__ = Signature([*own[:4], *theirs[3:]])  # type: ignore[attr-defined]
+        return published(color_space)(in_bands)
+
+    return wrap
+
+
 def _opened(image: Tensor, z: Tensor, color_space: ColorSpace) -> tuple[Tensor, Tensor]:
     if not isinstance(image, Tensor) or image.dtype != torch.uint8:
         checks.floating("image", image, "; or uint8")
@@ -82,15 +108,11 @@ def _opened(image: Tensor, z: Tensor, color_space: ColorSpace) -> tuple[Tensor, 
 def systems() -> list[str]:
     """Names of the published systems, oldest first: "mcglamery-1980" is `mcglamery_1980`."""
     names = [name.replace("_", "-") for name in FUNCTIONS]
-    return sorted(names, key=lambda name: (name.rpartition("-")[2], name))
+    return sorted(names, key=lambda name: (name[-4:], name))
 
 
 def system(name: str) -> Callable[..., Tensor]:
-    """Function of a published system, by its name, or by another: "UWCNN" is "li-2020".
-
-    Raises:
-        ValueError: if the name is unknown; lists all names.
-    """
+    """Function of a published system, by its name, or by another: "UWCNN" is "li-2020"."""
     own = {other.lower(): name for other, name in OTHER_NAMES.items()}
     name = own.get(name.lower(), name)
     checks.one_of("system", name, (*systems(), *OTHER_NAMES))
@@ -99,7 +121,7 @@ def system(name: str) -> Callable[..., Tensor]:
 
 def takes_spectra(name: str) -> bool:
     """False of a system that knows the ten Jerlov types alone, by a table of three colours."""
-    parameters = inspect.signature(system(name)).parameters
+    parameters = signature(system(name)).parameters
     return "camera" in parameters or "water" not in parameters
 
 
@@ -108,8 +130,7 @@ def picture(name: str, image: Tensor, z: Tensor, water: AnyWater = "II") -> Tens
     given; see also `takes_spectra`.
     """
     function = system(name)
-    takes_water = "water" in inspect.signature(function).parameters
-    return function(image, z, **({"water": water} if takes_water else {}))
+    return function(image, z, *[water] * ("water" in signature(function).parameters))
 
 
 class BandedWater(NamedTuple):
@@ -143,6 +164,15 @@ class BandedWater(NamedTuple):
         sums = [weights @ torch.exp(-(rates.T @ part)) for part in parts]
         rows, _, height, width = paths.shape[1:]
         return torch.cat(sums, 1).reshape(3, rows, height, width).transpose(0, 1)
+
+    def daylight(self, vertical_depth: float) -> Tensor:
+        """Light (N) at a depth, m, relative to the surface."""
+        return torch.exp(-self.kd * vertical_depth)
+
+    def veil(self, light: Tensor, rate: Tensor, z: Tensor) -> Tensor:
+        """Light (N) of each metre of water on the way z, lost at a rate (N, 1/m)."""
+        endless = light / rate
+        return self.integral(endless) - self.integral(endless, (rate, z))
 
     def scattered(
         self, image: Tensor, z: Tensor, scale: float, shape: Shape = "exponential"

@@ -16,9 +16,8 @@ from uwaug.light.backscatter import backscatter
 from uwaug.light.light import Lamp
 from uwaug.optics.view import WIDE, View
 from uwaug.optics.water import Water
-from uwaug.published.equation import AnyCamera, AnyWater, BandedWater, between, colour, published
+from uwaug.published.equation import BandedWater, between, colour, published, spectral
 
-_CAMERA = "Nikon 5100 (NPL)"
 # beside the camera, aimed 3 m ahead
 _LAMP = Lamp(position=(-0.8, -0.5, 0.0), power=10.0, aim=(0.8, 0.5, 3.0), cone=50.0)
 _ROWS_AT_ONCE = 16  # of a picture, whose bands of a lamp's beam stay in the cache
@@ -26,16 +25,9 @@ _ROWS_AT_ONCE = 16  # of a picture, whose bands of a lamp's beam stay in the cac
 _RGB = tuple[float, float, float]
 
 
-@published("srgb")
+@spectral("srgb")
 def mcglamery_1980(
-    image: Tensor,
-    z: Tensor,
-    water: AnyWater = "II",
-    camera: AnyCamera = _CAMERA,
-    *,
-    g: float = 0.05,
-    lamp: Lamp = _LAMP,
-    view: View = WIDE,
+    J: Tensor, z: Tensor, w: BandedWater, *, g: float = 0.05, lamp: Lamp = _LAMP, view: View = WIDE
 ) -> Tensor:
     """Direct light, forward scatter as a blur of the scene, and backscatter, under a lamp.
 
@@ -47,23 +39,15 @@ def mcglamery_1980(
     where the short side has 518 px; a `view` 60° wide; the phase function of Henyey and Greenstein.
     The lamp's light L on the scene is color·cone·cos/r², and fades with G on its way.
     """
-    w = BandedWater.of(water, camera, z)
     G = w.a + g * w.b
     L, r, beam = _lit(lamp, view, z, G, w)
     direct, arriving = (L * w.integral(1.0, (rate, z), (G, r)) for rate in (w.beta, G))
-    return direct * image + (arriving - direct) * w.scattered(image, z, 0.3) + beam
+    return direct * J + (arriving - direct) * w.scattered(J, z, 0.3) + beam
 
 
-@published("srgb")
+@spectral("srgb")
 def jaffe_1990(
-    image: Tensor,
-    z: Tensor,
-    water: AnyWater = "II",
-    camera: AnyCamera = _CAMERA,
-    *,
-    g: float = 0.2,
-    lamp: Lamp = _LAMP,
-    view: View = WIDE,
+    J: Tensor, z: Tensor, w: BandedWater, *, g: float = 0.2, lamp: Lamp = _LAMP, view: View = WIDE
 ) -> Tensor:
     """McGlamery's model, but the direct light is blurred, and not the scene.
 
@@ -74,21 +58,19 @@ def jaffe_1990(
     Ours: as in `mcglamery_1980`, with another g. Each pixel takes weight and blur of its own
     distance.
     """
-    w = BandedWater.of(water, camera, z)
     G = w.a + g * w.b
     L, r, beam = _lit(lamp, view, z, G, w)
     direct = L * w.integral(1.0, (w.beta, z), (G, r))
     weight = [L * w.integral(1.0, (w.beta + rate, z), (G, r)) for rate in (G, w.beta)]
-    forward = (weight[0] - weight[1]) * w.scattered(image, z, 0.3)
-    return direct * image + forward + beam
+    forward = (weight[0] - weight[1]) * w.scattered(J, z, 0.3)
+    return direct * J + forward + beam
 
 
-@published("srgb")
+@spectral("srgb")
 def schechner_2004(
-    image: Tensor,
+    J: Tensor,
     z: Tensor,
-    water: AnyWater = "II",
-    camera: AnyCamera = _CAMERA,
+    w: BandedWater,
     *,
     vertical_depth: float = 1.0,
     g: float = 0.2,
@@ -104,24 +86,15 @@ def schechner_2004(
     Left open: colours, G, φ, and the veil, which the authors read from their pictures.
     Ours: spectra and a camera, G and φ as in `mcglamery_1980`, the veil of a homogeneous water.
     """
-    w = BandedWater.of(water, camera, z)
-    G, E = w.a + g * w.b, torch.exp(-w.kd * vertical_depth)
-    veil = mu * w.b * E / w.beta
+    G, E = w.a + g * w.b, w.daylight(vertical_depth)
     weight = w.integral(E, (w.beta + G, z)) - w.integral(E, (2 * w.beta, z))
-    direct = w.integral(E, (w.beta, z)) * image
-    backscatter = w.integral(veil) - w.integral(veil, (w.beta, z))
-    return direct + weight * w.scattered(image, z, 0.3) + backscatter
+    direct = w.integral(E, (w.beta, z)) * J
+    veil = w.veil(mu * w.b * E, w.beta, z)
+    return direct + weight * w.scattered(J, z, 0.3) + veil
 
 
-@published("srgb")
-def akkaynak_2018(
-    image: Tensor,
-    z: Tensor,
-    water: AnyWater = "II",
-    camera: AnyCamera = _CAMERA,
-    *,
-    vertical_depth: float = 1.0,
-) -> Tensor:
+@spectral("srgb")
+def akkaynak_2018(J: Tensor, z: Tensor, w: BandedWater, *, vertical_depth: float = 1.0) -> Tensor:
     """Revised model: picture and veil have two coefficients of attenuation, each the mean of a
     spectrum that changes with distance. Both follow from the spectra.
 
@@ -132,15 +105,14 @@ def akkaynak_2018(
     Left open: the spectrum of the reflectance in the mean; here it is grey.
     Ours: depth and camera.
     """
-    return _revised(image, z, water, camera, vertical_depth)
+    return _revised(J, z, w, w.daylight(vertical_depth))
 
 
-@published("linear")
+@spectral("linear")
 def ueda_2019(
-    image: Tensor,
+    J: Tensor,
     z: Tensor,
-    water: AnyWater = "II",
-    camera: AnyCamera = _CAMERA,
+    w: BandedWater,
     *,
     vertical_depth: float = 1.0,
     veil: tuple[_RGB, _RGB] = ((0.4, 0.7, 0.7), (0.5, 0.8, 0.8)),
@@ -155,11 +127,9 @@ def ueda_2019(
     github.com/Jacobs-University/ICIP6-Underwater-Image-Synthesis, an independent implementation.
     Ours: a depth of 1 m; white daylight; the middle of the veil without a generator.
     """
-    w = BandedWater.of(water, camera, z)
-    B = between(*veil, generator, z)
-    vertical = w.integral(torch.exp(-w.beta * vertical_depth))
+    B, vertical = between(*veil, generator, z), w.integral(torch.exp(-w.beta * vertical_depth))
     both = w.integral(1.0, (w.beta, vertical_depth + z))
-    return image * both + B * (vertical - both)
+    return J * both + B * (vertical - both)
 
 
 @published("linear")
@@ -225,15 +195,8 @@ def li_2020(
     return A * image * N**z + A * (1 - N**z)
 
 
-@published("srgb")
-def desai_2021(
-    image: Tensor,
-    z: Tensor,
-    water: AnyWater = "II",
-    camera: AnyCamera = _CAMERA,
-    *,
-    vertical_depth: float = 1.0,
-) -> Tensor:
+@spectral("srgb")
+def desai_2021(J: Tensor, z: Tensor, w: BandedWater, *, vertical_depth: float = 1.0) -> Tensor:
     """RUIG: the revised model with a veil computed from the water. Depth dims the veil alone.
 
         I_c = J_c·∫S_c·e^(−βz) + ∫S_c·(b·e^(−K_d·d)/β)·(1 − e^(−βz))
@@ -243,15 +206,14 @@ def desai_2021(
     the abstract of the authors' RSUIGM, that light from above in the direct term is new there.
     Ours: depth, camera, and a grey reflectance in the means.
     """
-    return _revised(image, z, water, camera, vertical_depth, dims_scene=False)
+    return _revised(J, z, w, w.daylight(vertical_depth), on_scene=1.0)
 
 
-@published("srgb")
+@spectral("srgb")
 def liu_2022(
-    image: Tensor,
+    J: Tensor,
     z: Tensor,
-    water: AnyWater = "II",
-    camera: AnyCamera = _CAMERA,
+    w: BandedWater,
     *,
     light: Literal["uniform", "parallel", "artificial"] = "uniform",
     vertical_depth: float = 1.0,
@@ -270,10 +232,9 @@ def liu_2022(
     """
     checks.one_of("light", light, ("uniform", "parallel", "artificial"))
     if light != "artificial":
-        return _revised(image, z, water, camera, vertical_depth if light == "parallel" else 0.0)
-    w = BandedWater.of(water, camera, z)
+        return _revised(J, z, w, w.daylight(vertical_depth if light == "parallel" else 0.0))
     r = (z.square() + aside**2).sqrt()
-    result = image * power / r.square() * w.integral(1.0, (w.beta, z + r))
+    result = J * power / r.square() * w.integral(1.0, (w.beta, z + r))
     # in the angle θ = atan(s/aside), ds/r² is dθ/aside
     span, steps = torch.atan(z / aside), 16
     for step in range(steps):
@@ -283,15 +244,8 @@ def liu_2022(
     return result
 
 
-@published("srgb")
-def desai_2024(
-    image: Tensor,
-    z: Tensor,
-    water: AnyWater = "II",
-    camera: AnyCamera = _CAMERA,
-    *,
-    vertical_depth: float = 5.0,
-) -> Tensor:
+@spectral("srgb")
+def desai_2024(J: Tensor, z: Tensor, w: BandedWater, *, vertical_depth: float = 5.0) -> Tensor:
     """RSUIGM: light from above, e^(−K_d·d), in the direct term and in a veil computed from the
     water.
 
@@ -301,17 +255,12 @@ def desai_2024(
     doi:10.1145/3656473; the abstract, and the review in arXiv:2509.15011.
     Ours: depth, camera, and a grey reflectance in the means.
     """
-    return _revised(image, z, water, camera, vertical_depth)
+    return _revised(J, z, w, w.daylight(vertical_depth))
 
 
-@published("linear")
+@spectral("linear")
 def ismiroglou_reference_2025(
-    image: Tensor,
-    z: Tensor,
-    water: AnyWater = "II",
-    camera: AnyCamera = _CAMERA,
-    *,
-    vertical_depth: float = 1.0,
+    J: Tensor, z: Tensor, w: BandedWater, *, vertical_depth: float = 1.0
 ) -> Tensor:
     """Reference model of Ismiroglou et al., to which they compare theirs: g = μ = 1, and no blur.
 
@@ -320,15 +269,14 @@ def ismiroglou_reference_2025(
     Source: V. Ismiroglou et al., arXiv:2509.15011. As there, sRGB values are taken for light.
     Ours: the camera, as data of its Nikon D90 are for non-commercial use alone.
     """
-    return _revised(image, z, water, camera, vertical_depth)
+    return _revised(J, z, w, w.daylight(vertical_depth))
 
 
-@published("linear")
+@spectral("linear")
 def ismiroglou_2025(
-    image: Tensor,
+    J: Tensor,
     z: Tensor,
-    water: AnyWater = "II",
-    camera: AnyCamera = _CAMERA,
+    w: BandedWater,
     *,
     vertical_depth: float = 1.0,
     g: float = 0.2,
@@ -347,12 +295,10 @@ def ismiroglou_2025(
     Ours: the camera, as data of its Nikon D90 are for non-commercial use alone. For a medium field
     give z·field.
     """
-    w = BandedWater.of(water, camera, z)
-    G, E = w.a + g * w.b, torch.exp(-w.kd * vertical_depth)
-    veil = mu * w.b * E / G
+    G, E = w.a + g * w.b, w.daylight(vertical_depth)
     direct, arriving = (w.integral(E, (rate, z)) for rate in (w.beta, G))
-    forward = (arriving - direct) * w.scattered(image, z, 0.3, "gaussian")
-    return direct * image + forward + w.integral(veil) - w.integral(veil, (G, z))
+    forward = (arriving - direct) * w.scattered(J, z, 0.3, "gaussian")
+    return direct * J + forward + w.veil(mu * w.b * E, G, z)
 
 
 SLURPP = {
@@ -417,20 +363,11 @@ def _lit(
 
 
 def _revised(
-    image: Tensor,
-    z: Tensor,
-    water: AnyWater,
-    camera: AnyCamera,
-    vertical_depth: float,
-    *,
-    dims_scene: bool = True,
+    J: Tensor, z: Tensor, w: BandedWater, E: Tensor, on_scene: Tensor | float | None = None
 ) -> Tensor:
-    """As `akkaynak_2018`; E = 1 on the scene without `dims_scene`."""
-    w = BandedWater.of(water, camera, z)
-    E = torch.exp(-w.kd * vertical_depth)
-    veil = w.b * E / w.beta
-    direct = w.integral(E if dims_scene else 1.0, (w.beta, z)) * image
-    return direct + w.integral(veil) - w.integral(veil, (w.beta, z))
+    """As `akkaynak_2018`, by daylight E of the veil, and another on the scene."""
+    direct = w.integral(E if on_scene is None else on_scene, (w.beta, z)) * J
+    return direct + w.veil(w.b * E, w.beta, z)
 
 
 def _row(water: str | Water, table: dict[str, _RGB]) -> _RGB:

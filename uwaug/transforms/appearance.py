@@ -44,7 +44,7 @@ def water_features(srgb: Values) -> dict[str, float]:
 
     side = max(2, min(srgb.shape[:2]) // _BLOCKS)
     lab = rgb2lab(srgb)
-    L, a, b = lab[..., 0], lab[..., 1], lab[..., 2]
+    L, a, b = np.moveaxis(lab, -1, 0)
     light = srgb_to_linear(torch.from_numpy(srgb.astype(np.float64))).numpy()
     mean, spread = light.reshape(-1, 3).mean(0) + 0.004, srgb.reshape(-1, 3).std(0) + 0.004
     veil = _veil(srgb, lab, side)
@@ -53,9 +53,7 @@ def water_features(srgb: Values) -> dict[str, float]:
         "a_mean": a.mean(),
         "b_mean": b.mean(),
         "chroma": np.hypot(a, b).mean(),
-        "veil_L": veil[0],
-        "veil_a": veil[1],
-        "veil_b": veil[2],
+        **dict(zip(("veil_L", "veil_a", "veil_b"), veil, strict=True)),
         "log_RG": np.log2(mean[0] / mean[1]),
         "log_BG": np.log2(mean[2] / mean[1]),
         "sd_RG": np.log2(spread[0] / spread[1]),
@@ -74,16 +72,14 @@ def correlation(a: Values, b: Values) -> float:
 
 def _veil(srgb: Values, lab: Values, side: int) -> Values:
     """Median L*, a*, b* of those square blocks that have least texture and least red."""
-    height, width = (size // side for size in srgb.shape[:2])
+    from skimage.util import view_as_blocks
 
     def blocks(x: Values) -> Values:
-        whole = x[: height * side, : width * side].reshape(height, side, width, side)
-        return whole.transpose(0, 2, 1, 3).reshape(-1, side * side)
-
-    def rank(values: Values) -> Values:
-        return np.argsort(np.argsort(values))
+        height, width = (size // side * side for size in x.shape)
+        return np.reshape(view_as_blocks(x[:height, :width], (side, side)), (-1, side * side))
 
     texture = blocks(lab[..., 0]).std(1)
     less_red = blocks(srgb[..., 1:].max(-1) - srgb[..., 0]).mean(1)
-    veil = np.argsort(rank(texture) - rank(less_red))[: max(2, len(texture) // 10)]
+    ranks = texture.argsort().argsort() - less_red.argsort().argsort()
+    veil = ranks.argsort()[: max(2, len(ranks) // 10)]
     return np.array([np.median(blocks(lab[..., channel])[veil]) for channel in range(3)])

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from uwaug._support import checks
 from uwaug._support.nouns import SEEDS, Drawn, Noun, require_names
-from uwaug.formation.development import DOMAINS
+from uwaug.formation.development import DOMAINS, LEAST_FACTOR
 
 Record = dict[str, Any]
 """A plain dictionary, {"samples": […]} with one for each picture, as JSON holds it."""
@@ -36,12 +36,10 @@ class Draw(NamedTuple):
 
 def of_frame(sample: Record, number: int) -> Record:
     """The sample of a record, for one frame of a film: its sensor's noise is its own."""
-    development = sample["development"]
-    if "noise" not in development:
-        return dict(sample)
-    noise = development["noise"]
-    noise = {**noise, "seed": (noise["seed"] + number) % SEEDS}
-    return {**sample, "development": {**development, "noise": noise}}
+    development = dict(sample["development"])
+    if noise := development.get("noise"):
+        development["noise"] = {**noise, "seed": (noise["seed"] + number) % SEEDS}
+    return {**sample, "development": development}
 
 
 def read_draws(record: Any, count: int, nouns: Mapping[str, Noun]) -> list[Draw]:
@@ -66,7 +64,6 @@ def read_draws(record: Any, count: int, nouns: Mapping[str, Noun]) -> list[Draw]
 
 
 def _require_measured(measured: Any) -> None:
-    """Refuse what cannot have been measured of a film."""
     names = {"median", "exposure", "white_balance", "saturation"}
     require_names(measured, names if measured else set(), "measured")
     if not measured:
@@ -76,8 +73,5 @@ def _require_measured(measured: Any) -> None:
         raise ValueError(f"params: measured.median must be above 0 m, got {median!r:.80}")
     checks.within("params: measured.exposure", measured["exposure"], -math.inf)
     checks.within("params: measured.saturation", measured["saturation"], *DOMAINS["saturation"])
-    balance = measured["white_balance"]
-    if balance is not None:
-        checks.vector("params: measured.white_balance", balance)
-        for factor in balance:
-            checks.positive("params: measured.white_balance", factor)
+    if measured["white_balance"] is not None:
+        checks.vector("params: measured.white_balance", measured["white_balance"], LEAST_FACTOR)

@@ -39,8 +39,8 @@ class KeepVisible(SampleTransform):
         "contrast" (N, float32), 0 of objects with no pixel in the picture.
 
     Raises:
-        TypeError, ValueError: as `augment`; if there is not one such dict; if an entry has another
-            number of rows, or as many and no name here; if boxes are no corners in px.
+        ValueError: if there is not one such dict; if an entry has another number of rows, or as
+            many and no name here; if boxes are no corners in px.
 
     Examples:
         >>> import torch
@@ -79,8 +79,8 @@ class KeepVisible(SampleTransform):
         members = dict(enumerate(sample)) if isinstance(sample, (tuple, list)) else dict(sample)
         places = [place for place, member in members.items() if _has_objects(member)]
         if len(places) != 1:
-            found = f"found {len(places)}"
-            raise ValueError(f"expected one dict with 'boxes' or 'masks' in the sample, {found}")
+            counted = f"found {len(places)}"
+            raise ValueError(f"expected one dict with 'boxes' or 'masks' in the sample, {counted}")
         return replaced(sample, places[0], self._visible(members[places[0]], contrast_map))
 
     def _visible(self, target: Mapping[str, Any], contrast_map: Tensor) -> Any:
@@ -122,8 +122,8 @@ def _means(target: Mapping[str, Any], contrast_map: Tensor) -> Tensor:
         masks = typed(torch.as_tensor(target["masks"]), Tensor).to(contrast_map.device) != 0
         if masks.shape[1:] != contrast_map.shape:
             height, width = contrast_map.shape
-            got = f"got {tuple(masks.shape)}"
-            raise ValueError(f"target['masks'] must be (N, {height}, {width}), {got}")
+            expected = f"target['masks'] must be (N, {height}, {width})"
+            raise ValueError(f"{expected}, got {tuple(masks.shape)}")
         return (masks * contrast_map).sum((-2, -1)) / masks.sum((-2, -1)).clamp(min=1)
     boxes = target["boxes"]
     if np.ndim(boxes) > 1 and np.shape(boxes)[-1] not in (0, 4, 8):

@@ -87,9 +87,6 @@ class UnderwaterLike(RandomUnderwater):
         kept: {"water": …, "light": …, "development": …}, as of `make_params`. What they leave
             out is drawn for each picture.
         nearness: of the kept draws to the photographs; not in `to_dict`.
-
-    Raises:
-        ValueError: if there is no draw, or one is not of this transform.
     """
 
     kept: Sequence[Mapping[str, Any]] = ()
@@ -104,9 +101,9 @@ class UnderwaterLike(RandomUnderwater):
         **options: Any,
     ) -> None:
         super().__init__(water, **options)
-        self.kept, self.nearness = kept, nearness
-        if not self.kept:
+        if not kept:
             raise ValueError("kept: expected at least one, got none")
+        self.kept, self.nearness = kept, nearness
         sample = super()._sample(Uniform(bytes(8)))
         for draws in self.kept:
             read_draws({"samples": [_with_kept(sample, draws)]}, 1, self._nouns)
@@ -145,9 +142,6 @@ def like(
         A `RandomUnderwater` whose draws are those kept; field, particles, noise and made-up
         distances are drawn anew for each picture.
 
-    Raises:
-        TypeError, ValueError: if an argument does not suit.
-
     Warns:
         UserWarning: if even the kept draws look unlike a reference; says in what.
 
@@ -171,10 +165,10 @@ def like(
     if len(maps) != len(small):
         raise ValueError(f"distance has {len(maps)} maps for {len(small)} pictures")
     scenes = [
-        _Scene(picture, metres, replace(augment, view=augment.view.resized(factor)))
-        for (picture, factor), (metres, _) in zip(small, maps, strict=True)
+        _Scene(picture, metres, replace(augment, view=augment.view.resized(scale)))
+        for (picture, scale), (metres, _) in zip(small, maps, strict=True)
     ]
-    trials = _Trials(augment, scenes, seed)
+    trials = _Trials(scenes, torch.Generator().manual_seed(seed))
     kept: list[Record] = []
     of_each, doubt = [], ""
     with muted():
@@ -211,21 +205,21 @@ class _Draw(NamedTuple):
     features: list[Values]
 
 
+@dataclass
 class _Trials:
     """Draws of a transform, tried on some scenes."""
 
-    def __init__(self, augment: RandomUnderwater, scenes: list[_Scene], seed: int) -> None:
-        self.augment, self.scenes = augment, scenes
-        self.generator = torch.Generator().manual_seed(seed)
+    scenes: list[_Scene]
+    generator: torch.Generator
 
     def new(self, first: int) -> _Draw:
-        (sample,) = self.augment.make_params(self.scenes[0].picture, self.generator)["samples"]
+        sample = self._sample(self.scenes[0])
         kept = {name: _without_seeds(sample[name]) for name in _KEPT}
         return self.tried(_Draw(kept, first, []))
 
-    def between(self, first: _Draw, second: _Draw) -> _Draw:
-        mixed = self._mixed(first.sample, second.sample)
-        return self.tried(_Draw(mixed, second.first + 1, []))
+    def _sample(self, scene: _Scene) -> Record:
+        (sample,) = scene.augment.make_params(scene.picture, self.generator)["samples"]
+        return sample  # type: ignore[no-any-return]
 
     def _mixed(self, first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
         mixed = {}
@@ -242,10 +236,10 @@ class _Trials:
 
     def tried(self, draw: _Draw) -> _Draw:
         scene = self.scenes[(draw.first + len(draw.features)) % len(self.scenes)]
-        (sample,) = self.augment.make_params(scene.picture, self.generator)["samples"]
-        params = {"samples": [_with_kept({**sample, "applied": True}, draw.sample)]}
+        sample = {**self._sample(scene), "applied": True}
+        params = {"samples": [_with_kept(sample, draw.sample)]}
         result = scene.augment.transform(scene.picture, scene.metres, params)
-        if self.augment.development.color_space == "linear":
+        if scene.augment.development.color_space == "linear":
             result = linear_to_srgb(result).clamp(0, 1)
         draw.features.append(_features(result))
         return draw
@@ -254,8 +248,10 @@ class _Trials:
         unlikeness = partial(_unlikeness, photograph=photograph)
         parents = sorted(pool, key=unlikeness)[:_PARENTS]
         for _ in range(round(_BETWEEN_SHARE * tries)):
-            first, second = torch.randperm(len(parents), generator=self.generator)[:2].tolist()
-            pool.append(self.between(parents[first], parents[second]))
+            pair = torch.randperm(len(parents), generator=self.generator)[:2].tolist()
+            first, second = (parents[i] for i in pair)
+            mixed = self._mixed(first.sample, second.sample)
+            pool.append(self.tried(_Draw(mixed, second.first + 1, [])))
         count = max(keep, round((1 - _NEW_SHARE - _BETWEEN_SHARE) * tries / _MORE_PICTURES))
         candidates = sorted(pool, key=unlikeness)[:count]
         for draw in candidates:
@@ -276,9 +272,10 @@ def _with_kept(sample: Record, kept: Mapping[str, Any]) -> Record:
         if isinstance(value, tuple):  # as lists are read
             value = list(value)
         # a light has no seed; that of daylight has no lamps
-        inner = name != "light" and value and isinstance(value, Mapping)
-        inner = inner and isinstance(sample.get(name), Mapping)
-        changed[name] = _with_kept(sample[name], value) if inner else value
+        has_seeds = name != "light" and value and isinstance(value, Mapping)
+        if has_seeds and isinstance(sample.get(name), Mapping):
+            value = _with_kept(sample[name], value)
+        changed[name] = value
     return changed
 
 
@@ -293,7 +290,7 @@ def _small(name: str, tensors: Any, channels: int) -> list[tuple[Tensor, float]]
         checks.picture(name, tensor, channels)
         values = typed(tensor, Tensor).detach().cpu()
         values = values / 255 if values.dtype == torch.uint8 else values.float()
-        values = values if values.ndim == 4 else values[None]
+        values = values.reshape(-1, *values.shape[-3:])
         scale = _SHORT_SIDE_PX / min(values.shape[-2:])
         size = [round(scale * side) for side in values.shape[-2:]]
         if channels == 1:
@@ -324,5 +321,5 @@ def _doubt(best: list[_Draw], photograph: Values, unlikeness: float) -> str:
     worst = np.argsort(-abs(excess))[:3]
     features = list(WATER_FEATURES.values())
     words = ", ".join(features[i][3 if excess[i] > 0 else 2] for i in worst)
-    off = f"{unlikeness:.2f} standard deviations of photographs away: {words}"
-    return f"even the nearest draws look unlike the reference, {off}"
+    away = f"{unlikeness:.2f} standard deviations of photographs away"
+    return f"even the nearest draws look unlike the reference, {away}: {words}"

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,23 +53,15 @@ def measure(pictures: Tensor, metres: Tensor, *, metered: bool) -> list[Measured
     where they are on a device.
     """
     height, width = metres.shape[-2:]
-    points = _points(height, width, metres.device)
+    points = metering_points(height, width, metres.device)[:SAMPLED]
     values, distances = pictures.detach().flatten(1), metres.detach().flatten(1)
-    rows_of = _rows_on_host if checks.on_host(metres) else _rows_on_device
+    rows = _rows_on_host if metres.is_cpu else _rows_on_device
     measurements = []
-    for i, row in enumerate(rows_of(values, distances, points)):
-        darkest, brightest, nearest, farthest, median = row
+    for i, (dark, bright, near, far, median) in enumerate(rows(values, distances, points)):
         if math.isinf(median):  # all is open water, or all of the points
             median = _median(distances[i].cpu().numpy())
-        ends = darkest, brightest, nearest, farthest
-        measurements.append(Measured(width, height, *ends, median, metered))
+        measurements.append(Measured(width, height, dark, bright, near, far, median, metered))
     return measurements
-
-
-@lru_cache(maxsize=8)
-def _points(height: int, width: int, device: torch.device) -> Tensor:
-    with torch.inference_mode(False):  # tensors of inference mode cannot be used outside
-        return metering_points(height, width, device)[:SAMPLED].clone()
 
 
 def _rows_on_host(values: Tensor, distances: Tensor, points: Tensor) -> list[list[float]]:
@@ -87,7 +78,6 @@ def _rows_on_host(values: Tensor, distances: Tensor, points: Tensor) -> list[lis
 
 
 def _rows_on_device(values: Tensor, distances: Tensor, points: Tensor) -> list[list[float]]:
-    """The same as `_rows_on_host`, in one transfer."""
     solid = torch.where(distances.isfinite(), distances, -math.inf).amax(1).abs()
     samples = distances.index_select(1, points).sort(1).values  # open water and NaN come last
     middle = samples.isfinite().sum(1, keepdim=True) // 2

@@ -57,7 +57,6 @@ class RandomDevelopment(Noun):
         self.require_ranges()
 
     def of(self, draw: Drawn, measured: Measured) -> Development:
-        """The development of a picture; that of a film has been settled."""
         options: dict[str, Any] = {**draw, "metered": self.metered}
         if self.noise is not None:
             options["noise"] = self.noise.of(draw["noise"])

@@ -53,8 +53,7 @@ class RandomLight(Noun):
         cone: as for `uwaug.Lamp`, degrees.
         across, down: point at which the lamps aim, right of the middle and below it, in shares of
             the median distance.
-        tint: stops by which the lamps' blue is above their red, beside daylight: −1.7 of a halogen
-            lamp of 3000 K, .3 of an LED of 6500 K.
+        tint: stops by which the lamps' blue is above their red: −1.7 of a halogen lamp.
 
     Raises:
         TypeError, ValueError: if a value does not suit, or leaves its domain.
@@ -73,31 +72,24 @@ class RandomLight(Noun):
     def __post_init__(self) -> None:
         checks.within("share", self.share, 0.0, 1.0)
         rigs = (self.rigs,) if isinstance(self.rigs, str) else self.rigs
-        if not isinstance(rigs, (tuple, list)) or not rigs:
-            raise TypeError(f"rigs must be some of {', '.join(RIGS)}, got {rigs!r}")
-        for rig in rigs:
+        for rig in rigs or ("",):
             checks.one_of("rigs", rig, RIGS)
         object.__setattr__(self, "rigs", tuple(rigs))
         self.require_ranges()
 
     def ranges(self) -> dict[str, Range | None]:
-        """See `Noun.ranges`; with a rig, its count of lamps, and where on it they hang."""
+        # with a rig, its count of lamps, and where on it they hang
         places = {"rig": (0.0, 1.0), "count": (0.0, 1.0), "aside": (-1.0, 1.0), "above": (0.0, 1.0)}
         return {**super().ranges(), **places}
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
-        """See `Noun.drawn`; by daylight a pitch alone."""
         return super().drawn(uniform) if uniform("share") < self.share else self._day.drawn(uniform)
 
     def require(self, draw: Drawn, name: str) -> None:
-        """See `Noun.require`."""
-        if "rig" in draw:
-            super().require(draw, name)
-        else:
-            self._day.require(draw, name)
+        require = super().require if "rig" in draw else self._day.require
+        require(draw, name)
 
     def random(self) -> list[str]:
-        """See `Noun.random`."""
         return ["share", *super().random()] if self.share > 0 else self._day.random()
 
     @cached_property
@@ -105,14 +97,12 @@ class RandomLight(Noun):
         return _Day(self.pitch)
 
     def of(self, draw: Drawn, measured: Measured) -> Light | None:
-        """The light of a picture; None for daylight that is alike in all directions."""
         pitch = draw.get("pitch")
         if "rig" not in draw:
             return None if pitch is None else checks.unchecked(Light, pitch=pitch)
         metres = measured.median if math.isfinite(measured.median) else _OPEN_WATER_M
         rig = RIGS[_picked(draw["rig"], self.rigs)]
-        low, high = rig.lamps
-        count = _picked(draw["count"], range(low, high + 1))
+        count = _picked(draw["count"], range(rig.lamps[0], rig.lamps[1] + 1))
         # of −1…1 the sign says on which side the first lamp is
         side = draw["aside"]
         aside = math.copysign(_between(rig.aside, abs(side)), side)
@@ -130,8 +120,6 @@ class RandomLight(Noun):
 
 @dataclass(frozen=True)
 class _Day(Noun):
-    """Daylight without lamps."""
-
     pitch: Range | None = number(None, -90.0, 90.0)
 
 
@@ -140,5 +128,4 @@ def _picked(share: float, choices: Sequence[T]) -> T:
 
 
 def _between(ends: tuple[float, float], share: float) -> float:
-    low, high = ends
-    return low + (high - low) * share
+    return ends[0] + (ends[1] - ends[0]) * share

@@ -42,8 +42,7 @@ class RandomUnderwater(SampleTransform):
     """Degrade pictures in random waters, as an underwater camera takes them.
 
     Args:
-        water: a `RandomWater`, or its first argument alone: Jerlov types, contents, a `Water`, a
-            `Medium`.
+        water: a `RandomWater`, or its first argument alone.
         distance: the content of maps: `uwaug.distance.Metres`, `Relative` or `Inverse`. Or the
             source of distances where there are no maps: `MadeUp`, `Network`, or `Plane`, for which
             a number or a range may stand, m.
@@ -72,11 +71,6 @@ class RandomUnderwater(SampleTransform):
     Raises:
         TypeError, ValueError: if an option or an input does not suit.
 
-    Warns:
-        UserWarning: once in a process, if next to nothing is left to see in one of its first
-            pictures; and once, if distances or contents are scaled much for a contrast, or it is
-            not reached.
-
     Examples:
         >>> import torch
         >>> from uwaug import RandomWater
@@ -85,10 +79,7 @@ class RandomUnderwater(SampleTransform):
         RandomUnderwater(water=RandomWater(waters='3C', contrast=0.2), p=0.5)
         >>> image, distance = torch.rand(3, 32, 48), torch.full((1, 32, 48), 3.0)
         >>> degraded, _ = aug(image, distance)
-        >>> record = aug.make_params(image)
-        >>> again, once_more = (aug.transform(image, distance, record) for _ in range(2))
-        >>> torch.equal(again, once_more)
-        True
+        >>> again = aug.transform(image, distance, aug.make_params(image))
     """
 
     water: RandomWater = option(default_factory=RandomWater)
@@ -131,7 +122,7 @@ class RandomUnderwater(SampleTransform):
         self.view = View.of(view)
         checks.within("p", p, 0.0, 1.0)
         self.p = p
-        if not isinstance(keys, (tuple, list)) or [*map(type, keys)] != [str, str]:
+        if isinstance(keys, str) or [*map(type, keys)] != [str, str]:
             raise TypeError(f"keys must be the names of image and map, got {keys!r:.80}")
         self.keys = keys[0], keys[1]
         light_noun = light if isinstance(light, RandomLight) else Fixed(light)
@@ -171,7 +162,7 @@ class RandomUnderwater(SampleTransform):
         """
         nouns = {name: noun for name, noun in self._nouns.items() if name != "distance"}
         names = [f"{name}.{option}" for name, noun in nouns.items() for option in noun.random()]
-        names += ["p"] * (self.p < 1) + self.water.of_each_picture()
+        names += ["p"] * (self.p < 1) + ["water.contrast"] * (self.water.contrast is not None)
         if names:
             got = ", ".join(dict.fromkeys(names))
             raise ValueError(f"a module makes the same of all pictures, but {got} differ: fix them")
@@ -197,8 +188,7 @@ class RandomUnderwater(SampleTransform):
         """The options that differ from the defaults, as JSON, YAML and TOML hold them; "none" for
         None. TypeError if an option cannot be written so, such as a function.
         """
-        plain: dict[str, Any] = codec.to_plain(self)
-        return plain
+        return dict(codec.to_plain(self))
 
     @staticmethod
     def from_dict(options: Mapping[str, Any]) -> "RandomUnderwater":
@@ -218,9 +208,9 @@ class RandomUnderwater(SampleTransform):
 
         Returns:
             A plain record, as JSON holds it: {"samples": […]} with a dict for each picture:
-            "applied", whether it is degraded at all; and the draw of each noun, by the names of its
-            options: "water", with names or contents of one or two "waters"; "distance"; "light",
-            the pitch alone by daylight; "development".
+            "applied", whether it is degraded at all; and the draws of "water" (with names or
+            contents of one or two "waters"), "distance", "light" (the pitch alone by daylight) and
+            "development", by the names of their options.
         """
         count = 1 if image.ndim == 3 or is_film(image) else len(image)
         seeds = torch.randint(2**63 - 1, (count,), generator=generator, device="cpu").tolist()
@@ -239,8 +229,7 @@ class RandomUnderwater(SampleTransform):
 
         Args:
             image (3xHxW or Bx3xHxW tensor): uint8 or floating point.
-            distance (1xHxW or Bx1xHxW tensor): maps as the transform's `distance` reads them; None
-                if it reads none.
+            distance (1xHxW or Bx1xHxW tensor): maps that `distance` reads; None if it reads none.
             params: from `make_params` of an equal transform; one sample serves a whole batch.
         """
         return self.scenes(image, distance, params).formed()
@@ -253,18 +242,16 @@ class RandomUnderwater(SampleTransform):
 
         Args:
             params: from `make_params`, of one picture.
-            image, distance: a frame of the film, as for `transform`; or all frames, as a batch, of
-                which the middle one is taken.
+            image, distance: a frame of the film, or all, of which the middle one is taken.
 
         Returns:
-            A record with a sample for each of these frames, with what was "measured" once for all.
-            Set at each frame how far, in m, field and snow have drifted to the right ("moved"), and
-            the camera has moved to the right, down and forward ("motion"); all are 0.
+            A record with a sample for each of these frames. Set at each how far, in m, field and
+            snow have drifted to the right ("moved"), and the camera has moved to the right, down
+            and forward ("motion"); all are 0.
         """
         frames = pictures_of(image)
         if len(frames) > 1 and isinstance(self.distance, MadeUp):
-            cure = "give maps, or metres, such as distance=(1, 5)"
-            raise ValueError(f"distance: made up from each frame, a film would flicker: {cure}")
+            raise ValueError("distance: made up from each frame, a film would flicker: give maps")
         maps = maps_for(frames, distance, self.distance)
         middle = len(frames) // 2
         scenes = self.scenes(frames[middle], maps[middle], params)

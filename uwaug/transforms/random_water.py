@@ -36,21 +36,15 @@ CONTENTS = Constituents(chlorophyll=(1.0, 9.0), cdom=(0.15, 1.2), minerals=(0.06
 """Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
 
 WATERS = ("IB", "II", "III", "1C", "3C", *[CONTENTS] * 5)
-"""In 7C and 9C nearly one colour is left, which looks like a filter. (What else was tried, and how
-`VISIBLE` was chosen: benchmarks/CHOICES.md, default draws.)
-"""
+"""What else was tried, and how `VISIBLE` was chosen: benchmarks/CHOICES.md, default draws."""
 
 DIMMEST = 1 / 8
-"""Share of the surface's light that a scene has at least, where the exposure is automatic: below,
-turbid waters have one colour, which a camera's matrix makes neon.
-"""
+"""Share of the surface's light that a scene has at least, where the exposure is automatic."""
 
 _CURVES = 0.002  # tolerance of a medium's curves, in the light that a metered exposure makes of it
 
 VISIBLE = (1.8, 14.0)
-"""Median distances of a scene that one sees in the default waters: photographers stand where they
-can see.
-"""
+"""Median distances of a scene that one sees in the default waters."""
 
 PLACED_M = 2.0
 """m: stands for the median distance of a scene without a size, which is placed in its water."""
@@ -62,7 +56,7 @@ MILDEST = 0.65
 # severest grade at 1 m
 MOST_CONTENTS = 50.0
 _LEAST_CONTENTS = 1e-3  # share of it that stays where pure water is too murky already
-_MOST_STOPS = 12.0  # by which contents are scaled, whatever is asked for
+MOST_STOPS = 12.0  # by which contents are scaled, whatever is asked for
 _HALVINGS = 13  # of stops that are looked for under lamps
 _WALL_PX = 192  # of a wall at the median distance, under lamps
 
@@ -82,31 +76,27 @@ class Clarity(NamedTuple):
 
     def record(self) -> dict[str, Any]:
         """All but the water as JSON holds it, and the visibility, m."""
-        visibility = metres_for(self.water, CONTRAST_THRESHOLD)
-        names = ("metres", "contents", "asked")
-        numbers = {"visibility": visibility, **{name: getattr(self, name) for name in names}}
+        numbers = self._asdict() | {"visibility": metres_for(self.water, CONTRAST_THRESHOLD)}
+        del numbers["water"]
         return {name: None if value == math.inf else value for name, value in numbers.items()}
 
     @property
     def odd(self) -> str:
         """A sentence if the water is hardly the one named, or too murky when pure; else ""."""
-        if self.contents > MOST_CONTENTS:
-            times = f"{self.contents:.3g} times what is in it"
-            named = "name a more turbid one, if distances are metres"
-            return f"that takes {times}, which is hardly that water: {named}"
         if self.contents == 0:
             asked = f"a contrast of {self.asked:.2g}" if self.asked else "the visibility"
-            got = f"pure water has less than {asked} at {self.metres:.3g} m"
-            return f"{got}: ask for less, if distances are metres"
-        return ""
+            return f"pure water has less than {asked} at {self.metres:.3g} m: ask for less"
+        if self.contents <= MOST_CONTENTS:
+            return ""
+        got = f"that takes {self.contents:.3g} times what is in it, which is hardly that water"
+        return f"{got}: name a more turbid one, if distances are metres"
 
 
 @codec.plain
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomWater(Noun):
     """Draws the water of each picture, as its camera sees it. A range is a number or (low, high),
-    drawn uniformly; visibility and contrast uniformly in their logarithm. Both are reached as far
-    as 0 to 4096 times what is in a water allow; a warning says where that is not enough, or much.
+    drawn uniformly; visibility and contrast uniformly in their logarithm.
 
     Args:
         waters: one or several of what `uwaug.load_water` takes; `Constituents` (or their text, such
@@ -130,11 +120,9 @@ class RandomWater(Noun):
         mu: share of the scattered light sent towards the camera, 0…1. The veil of endless water has
             mu/g of the light of a white plate; a range is held at g. None for 1.5·g.
         point_spread: width law of the forward scatter; None for `PointSpread.calibrated`.
-        field: least and largest value of the medium field, which multiplies distances; None for
-            even water.
+        field: ends of the medium field, which multiplies distances; None for even water.
         camera: a name, the path of a CSV file or a `Camera`.
-        color_matrix: share of the camera's colour matrix, 0…1. None for grey surfaces, see
-            `uwaug.Medium.from_water`.
+        color_matrix: share of the camera's colour matrix, 0…1; None for grey surfaces.
         snow: a `uwaug.MarineSnow`, whose density may be a range; None for clear water.
 
     `PLAIN` are the options of even water as it is in nature, at the surface, with grey surfaces.
@@ -196,16 +184,15 @@ class RandomWater(Noun):
         )
         self.require_ranges()
         if self.mixes and self.has_media:
-            raise ValueError("mixing needs spectra: it must be 0 where a water is a Medium")
+            raise ValueError("mixing must be 0 where a water is a Medium, which has no spectra")
 
     @cached_property
     def has_media(self) -> bool:
-        """True if a water is a `Medium`."""
         return any(isinstance(water, Medium) for water in self.by_name.values())
 
     def ranges(self) -> dict[str, Range | None]:
-        """See `Noun.ranges`; contrast alone if all waters are a `Medium`. "clearness" is where in
-        `VISIBLE` the visibility lies.
+        """Contrast alone if all waters are a `Medium`. "clearness" is where in `VISIBLE` the
+        visibility lies.
         """
         if all(isinstance(water, Medium) for water in self.by_name.values()):
             return {"contrast": self.contrast}
@@ -213,7 +200,7 @@ class RandomWater(Noun):
         return {**super().ranges(), **({"clearness": (0.0, 1.0)} if is_free else {})}
 
     def drawn(self, uniform: Uniform) -> dict[str, Any]:
-        """See `Noun.drawn`; "waters" are the names of one or two, or amounts of contents."""
+        # "waters" are the names of one or two, or amounts of contents
         waters: list[str | dict[str, float]] = []
         for order in ("waters", "second water")[: 2 if self.mixes else 1]:
             name = self.names[int(uniform(order) * len(self.names))]
@@ -225,7 +212,6 @@ class RandomWater(Noun):
         return draw
 
     def require(self, draw: Drawn, name: str) -> None:
-        """See `Noun.require`."""
         further = {"waters"} if self.field is None else {"waters", "field_seed"}
         require_names(draw, {*self._ends, *self._nouns, *further}, name)
         super().require({key: value for key, value in draw.items() if key not in further}, name)
@@ -234,17 +220,18 @@ class RandomWater(Noun):
         waters, count = draw["waters"], 2 if self.mixes else 1
         if not isinstance(waters, (list, tuple)) or len(waters) != count:
             raise ValueError(f"params: {name}.waters must be {count}, got {waters!r:.80}")
+        amounts = [w for w in self.by_name.values() if isinstance(w, Constituents)]
         for water in waters:
-            self._require_water(water)
+            is_name = isinstance(water, str) and isinstance(self.by_name.get(water), Water | Medium)
+            is_drawn = isinstance(water, Mapping) and any(w.holds(water) for w in amounts)
+            if not (is_name or is_drawn):
+                has = ", ".join(self.by_name)
+                raise ValueError(f"params asks for {water!r:.80}, but this transform has {has}")
 
     def random(self) -> list[str]:
-        """See `Noun.random`; the field is an input of `uwaug.Underwater`."""
+        # the field is an input of `uwaug.Underwater`
         has_contents = any(isinstance(water, Constituents) for water in self.by_name.values())
         return ["waters"] * (len(self.by_name) > 1 or has_contents) + super().random()
-
-    def of_each_picture(self) -> list[str]:
-        """Names of the options that follow from the distances of a picture."""
-        return ["water.contrast"] if self.contrast is not None else []
 
     def water(self, draw: Drawn, median: float) -> tuple[Water | Medium, float]:
         """The water of a picture, of a scene with this median distance [m], before a contrast is
@@ -266,7 +253,8 @@ class RandomWater(Noun):
                 visibility = min(max(water.visibility(), least), most)
         if visibility is None:
             return water, 1.0
-        contents = max(_contents(water, CONTRAST_THRESHOLD, visibility), least_contents)
+        contents = water.contents_for(CONTRAST_THRESHOLD, visibility)
+        contents = min(max(contents, least_contents), 2.0**MOST_STOPS)
         return water.with_contents(contents), contents
 
     def farthest(self, water: Water | Medium, draw: Drawn) -> float:
@@ -296,7 +284,7 @@ class RandomWater(Noun):
             elif isinstance(water, Medium):
                 contents = metres_for(water, asked) / measured.median
             else:
-                contents = _contents(water, asked, measured.median)
+                contents = min(water.contents_for(asked, measured.median), 2.0**MOST_STOPS)
             water = water.with_contents(contents)
         medium, depth = medium_of(water)
         if self.snow is not None:
@@ -308,7 +296,6 @@ class RandomWater(Noun):
     def _medium_of(
         self, water: Water | Medium, *, draw: Drawn, metered: bool, lamps: bool
     ) -> tuple[Medium, float | None]:
-        """The medium of a water, and its depth below the surface [m]."""
         if isinstance(water, Medium):
             return water, None
         depth, daylight = draw["vertical_depth"], 1.0
@@ -317,13 +304,24 @@ class RandomWater(Noun):
             if daylight < DIMMEST:
                 deepest = min(depth, water.depth_of_daylight(DIMMEST))
                 if not isinstance(self.vertical_depth, tuple):
-                    got = f"{depth:g} m below the surface {water.name} leaves {daylight:.1g}"
-                    taken = f"the scene is taken at {deepest:.3g} m; metered=False keeps the dark"
-                    odd_scene.warn(f"{got} of light: {taken}")
+                    got = f"{depth:g} m deep {water.name} leaves {daylight:.1g} of the light"
+                    odd_scene.warn(f"{got}: taken at {deepest:.3g} m, but with metered=False")
                 depth, daylight = deepest, DIMMEST
         tolerance = _CURVES * daylight  # errors, too, are brought up by an exposure
-        options = depth, draw["g"], self._mu(draw), draw.get("color_matrix"), tolerance
-        return self._medium(water, options, lamps), depth
+        g, mu = draw["g"], draw.get("mu")
+        if mu is None:
+            mu = min(1.5 * g, 1.0)
+        elif isinstance(self.mu, tuple):  # no veil that is drawn is brighter than a white plate
+            mu = min(mu, g)
+        options = depth, g, mu, draw.get("color_matrix"), tolerance
+        # the last one again if nothing differs, as if nothing is random
+        before: tuple[Water, Any, Medium, float] | None = vars(self).get("_before")
+        if before and before[0] is water and before[1] == (options, lamps):
+            return before[2:]
+        arrays = reduced(water, self.response, *options, lamps=lamps)
+        medium = Medium.of_arrays(*arrays, self.point_spread or _CALIBRATED)
+        vars(self)["_before"] = water, (options, lamps), medium, depth
+        return medium, depth
 
     def fields(
         self, draws: Sequence[Draw], measured: Sequence[Measured], like: Tensor, view: View
@@ -340,24 +338,6 @@ class RandomWater(Noun):
             moved.append((scale * right, scale * down))
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
 
-    def _medium(self, water: Water, options: tuple[Any, ...], lamps: bool) -> Medium:
-        """The medium of a water; the last one again if nothing differs, as if nothing is random."""
-        before: tuple[Water, Any, Medium] | None = vars(self).get("_before")
-        if before and before[0] is water and before[1] == (options, lamps):
-            return before[2]
-        arrays = reduced(water, self.response, *options, lamps=lamps)
-        medium = Medium.of_arrays(*arrays, self.point_spread or _CALIBRATED)
-        vars(self)["_before"] = water, (options, lamps), medium
-        return medium
-
-    def _mu(self, draw: Drawn) -> float:
-        # of a range no more than g: no veil that is drawn is brighter than a white plate
-        g: float = draw["g"]
-        if self.mu is None:
-            return min(1.5 * g, 1.0)
-        mu: float = draw["mu"]
-        return min(mu, g) if isinstance(self.mu, (tuple, list)) else mu
-
     def _spectra(self, water: str | Mapping[str, float]) -> Water:
         if not isinstance(water, str):
             return Water.of_amounts(water)
@@ -365,29 +345,11 @@ class RandomWater(Noun):
         assert isinstance(spectra, Water)
         return spectra
 
-    def _require_water(self, water: Any) -> None:
-        """Refuse a water that cannot have been drawn."""
-        if isinstance(water, str):
-            is_possible = isinstance(self.by_name.get(water), Water | Medium)
-        else:
-            contents = [w for w in self.by_name.values() if isinstance(w, Constituents)]
-            is_possible = isinstance(water, Mapping) and any(w.holds(water) for w in contents)
-        if not is_possible:
-            has = ", ".join(self.by_name)
-            raise ValueError(f"params asks for {water!r:.80}, but this transform has {has}")
-
-
-def _contents(water: Water, contrast: float, metres: float) -> float:
-    """Factor of what is in a water that leaves this contrast at a distance [m] by daylight, or the
-    most: next to nothing is in type I.
-    """
-    return min(water.contents_for(contrast, metres), math.exp2(_MOST_STOPS))
-
 
 def _contents_under(
     light: Light | None,
     water: Water | Medium,
-    medium_of: Callable[[Water | Medium], tuple[Medium, float | None]],
+    medium_of: Callable[..., tuple[Medium, float | None]],
     contrast: float,
     measured: Measured,
     view: View,
@@ -401,17 +363,16 @@ def _contents_under(
     rows = max(1, round(columns * size[0] / size[1]))
     wall = torch.full((1, rows, columns), measured.median, dtype=torch.float64)
     shown = view.crop(size, 0, 0).resized(columns / size[1])
-    low, high = -_MOST_STOPS, _MOST_STOPS
+    low, high = -MOST_STOPS, MOST_STOPS
     for _ in range(_HALVINGS):
         stops = (low + high) / 2
         medium, _depth = medium_of(water.with_contents(2.0**stops))
         left = contrast_left(wall, medium, light=light, view=shown).mean()
         low, high = (stops, high) if float(left) > contrast else (low, stops)
-    return 2.0**low if low > -_MOST_STOPS else 0.0
+    return 2.0**low if low > -MOST_STOPS else 0.0
 
 
 def _named(waters: Any) -> list[tuple[str, Water | Constituents | Medium]]:
-    """Names and waters, or ranges from which each picture draws one."""
     named: list[tuple[str, Water | Constituents | Medium]] = []
     for water in waters if isinstance(waters, tuple) else (waters,):
         if isinstance(water, Medium):

@@ -47,8 +47,8 @@ def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool)
         raise ValueError("sample is empty: expected (image, distance, …)")
     distance = sample[1] if len(sample) > 1 else None
     if isinstance(distance, Mapping):  # torchvision's (image, target)
-        is_there = reads_maps or keys[1] in distance
-        distance = _leaf(distance, keys[1], "the dict in second place") if is_there else None
+        has_map = reads_maps or keys[1] in distance
+        distance = _leaf(distance, keys[1], "the dict in second place") if has_map else None
     elif not reads_maps and not _is_map(distance, sample[0]):
         distance = None
     return Parts(sample[0], distance, partial(replaced, sample, 0))
@@ -59,22 +59,19 @@ def _images(value: Any, name: str) -> Iterator[str]:
     if isinstance(value, (tensors.Image, tensors.Video)):
         yield name
     elif isinstance(value, (Mapping, tuple, list)):
-        members = value.items() if isinstance(value, Mapping) else enumerate(value)
-        for place, member in members:
+        for place, member in value.items() if isinstance(value, Mapping) else enumerate(value):
             yield from _images(member, f"{name}[{place!r}]")
 
 
 def _is_map(value: Any, image: Any) -> bool:
-    are_tensors = isinstance(value, Tensor) and isinstance(image, Tensor)
-    if not are_tensors or not value.is_floating_point() or not 3 <= value.ndim == image.ndim:
+    if not (isinstance(value, Tensor) and isinstance(image, Tensor) and value.is_floating_point()):
         return False
-    return bool(value.shape[-3] == 1 and value.shape[-2:] == image.shape[-2:])
+    return 3 <= value.ndim == image.ndim and value.shape[-3:] == (1, *image.shape[-2:])
 
 
 def _leaf(sample: Mapping[Any, Any], name: str, what: str) -> Any:
     if name not in sample:
-        has = ", ".join(map(repr, sample))
-        raise ValueError(f"{what} has no {name!r}, only {has}: see keys and distance")
+        raise ValueError(f"{what} has no {name!r}, only {', '.join(map(repr, sample))}: see keys")
     return sample[name]
 
 

@@ -11,10 +11,9 @@ from torch import Tensor
 
 from uwaug import fast
 from uwaug._support import checks
-from uwaug._support.nouns import Drawn
 from uwaug._support.once import Once
 from uwaug._support.types import ColorSpace
-from uwaug.distance.doubts import question
+from uwaug.distance.doubts import first_maps, question
 from uwaug.distance.sizes import brought_to
 from uwaug.distance.sources import Metres, Source
 from uwaug.distance.unknown import FARTHEST_SEEN
@@ -28,7 +27,7 @@ from uwaug.optics.view import View
 from uwaug.optics.water import Water
 from uwaug.transforms.draws import Draw
 from uwaug.transforms.measured import Measured, measure
-from uwaug.transforms.random_water import PLACED_M, Clarity, RandomWater, odd_scene
+from uwaug.transforms.random_water import MOST_CONTENTS, PLACED_M, Clarity, RandomWater, odd_scene
 from uwaug.transforms.samples import maps_for, naming, typed
 from uwaug.transforms.truth import Truth, truth_of
 
@@ -64,7 +63,7 @@ class Scenes(NamedTuple):
         if len(self.chosen) < len(pictures):
             index = torch.tensor(self.chosen).to(pictures.device)
         settings = [scene.setting for scene in self.scenes]
-        for setting in settings:
+        for setting in settings if _blank.looks_left else ():
             _warn_if_blank(setting)
         with checks.full_precision(pictures):
             submerged = pictures if index is None else pictures[index]
@@ -86,8 +85,8 @@ class Scenes(NamedTuple):
 
     def clarity(self, picture: int) -> Clarity | None:
         """The clarity of the water of one of the pictures, if it is in water."""
-        scenes = dict(zip(self.chosen, self.scenes, strict=True))
-        return scenes[picture].clarity if picture in scenes else None
+        scene = dict(zip(self.chosen, self.scenes, strict=True)).get(picture)
+        return scene and scene.clarity
 
     def truth(self, picture: int = 0) -> Truth | None:
         """What water and camera did to one of the pictures; None if it is left alone."""
@@ -140,25 +139,22 @@ def scenes_of(
         return Scenes(image, pictures)
     with checks.full_precision(pictures):
         applied = [draws[i] for i in chosen]
-        waters, numbers = [], [draw.distance for draw in applied]
-        if not source.has_size:  # scenes are placed in their water
-            waters = [water.water(draw.water, PLACED_M) for draw in applied]
-            numbers = [
-                # the veil grows on behind the far end, which would show the rim of open water; but
-                # it must be endless where the water may still become clearer
-                source.placed(
-                    draw.distance, partial(metres_for, of_it), water.farthest(of_it, draw.water)
-                )
-                | {"hides": "contrast" not in draw.water}
-                for draw, (of_it, _) in zip(applied, waters, strict=True)
-            ]
-        metres = _metres_of(source, pictures, maps, draws, numbers, space, view)
+        waters = list[tuple[Water | Medium, float]]()
+        for n, draw in enumerate(() if source.has_size else applied):  # placed in their water
+            of_it, contents = water.water(draw.water, PLACED_M)
+            waters.append((of_it, contents))
+            farthest = water.farthest(of_it, draw.water)
+            placed = source.placed(draw.distance, partial(metres_for, of_it), farthest)
+            # the veil grows on behind the far end, which would show the rim of open water; but it
+            # must be endless where the water may still become clearer
+            applied[n] = draw._replace(distance=placed | {"hides": "contrast" not in draw.water})
+        metres = _metres_of(source, pictures, maps, chosen, applied, space, view)
         submerged = pictures if len(chosen) == len(pictures) else pictures[chosen]
         metered = nouns["development"].metered
         measurements = measure(submerged, metres, metered=metered)
         holed = [m for m in measurements if not (m.nearest > 0 and m.farthest < FARTHEST_SEEN)]
         if holed and source == _WHOLE_MAPS:
-            metres = _read_again(source, pictures, metres, chosen)
+            metres = _metres_of(source, pictures, maps, chosen, applied, space, view, whole=False)
             measurements = measure(submerged, metres, metered=metered)
         scenes, of_films = [], []
         for n, (i, draw, measured) in enumerate(zip(chosen, applied, measurements, strict=True)):
@@ -194,7 +190,7 @@ def _scene(
     space = nouns["development"].color_space
     setting = Setting(medium, light, development, view, space, span)
     clarity = Clarity(made, drawn[1] * contents, of_film.median, draw.water.get("contrast"))
-    if clarity.odd:
+    if not 0 < clarity.contents <= MOST_CONTENTS:
         odd_scene.warn(clarity.odd)
     return Scene(setting, vertical_depth, clarity)
 
@@ -203,26 +199,27 @@ def _metres_of(
     source: Source,
     pictures: Tensor,
     maps: Sequence[Tensor | None],
-    draws: Sequence[Draw],
-    numbers: Sequence[Drawn],
+    chosen: Sequence[int],
+    applied: Sequence[Draw],
     color_space: ColorSpace,
     view: View,
+    whole: bool = True,
 ) -> Tensor:
-    """Distances (Nx1xHxW, m) of the pictures to degrade; those of `Metres()` as they come."""
+    """Distances (Nx1xHxW, m) of the pictures to degrade; of `Metres()` as they come, if `whole`."""
     results = list[Tensor]()
-    for i, (metres, picture, draw) in enumerate(zip(maps, pictures, draws, strict=True)):
-        if not draw.applied:
-            continue
-        if metres is not None and isinstance(source, Metres) and checks.on_host(picture):
+    for i, draw in zip(chosen, applied, strict=True):
+        metres, picture = maps[i], pictures[i]
+        if whole and first_maps.looks_left and isinstance(source, Metres) and picture.is_cpu:
+            assert metres is not None
             question(metres, stacklevel=5)
-        if metres is None or source != _WHOLE_MAPS:
+        if metres is None or source != _WHOLE_MAPS or not whole:
             srgb = picture
             if source.reads_pictures and color_space == "linear":
                 light = picture if picture.is_floating_point() else picture / 255
                 srgb = linear_to_srgb(light.clamp(0, 1))
             with naming(i, len(pictures)):
                 rays = view.planar(picture.shape[-1])
-                metres = source.metres(metres, srgb, numbers[len(results)], **rays)
+                metres = source.metres(metres, srgb, draw.distance, **rays)
         if metres.dtype.itemsize < 4:
             metres = metres.float()
         is_of_size = metres.shape[-2:] == picture.shape[-2:]
@@ -230,22 +227,12 @@ def _metres_of(
     return results[0][None] if len(results) == 1 else torch.stack(results)
 
 
-def _read_again(source: Source, pictures: Tensor, metres: Tensor, chosen: Sequence[int]) -> Tensor:
-    """Distances (Nx1xHxW, m) as their source reads them, of maps that may have holes."""
-    results = []
-    for i, row in zip(chosen, metres, strict=True):
-        with naming(i, len(pictures)):
-            results.append(source.metres(row, pictures[i], {}))
-    return torch.stack(results)
-
-
 def _warn_if_blank(setting: Setting) -> None:
     """Warn, once in a process, if next to nothing is left to see at the median distance."""
     median = setting.span[1]
-    if _blank.looks_left < 1 or not math.isfinite(median) or not _blank.due():
+    if not math.isfinite(median) or not _blank.due():
         return
     z = setting.medium.beta.new_full((1, 1, 1), median)
     if float(contrast_left(z, setting.medium, light=setting.light)) < FAINT:
-        got = f"less than {100 * FAINT:g} % of the contrast is left on half of a picture or more"
-        cure = "take clearer water by contrast, if distances are metres"
-        _blank.warn(f"{got}, of median distance {median:.3g} m: {cure}")
+        got = f"less than {100 * FAINT:g} % of the contrast is left at a median of {median:.3g} m"
+        _blank.warn(f"{got}: take clearer water by contrast, if distances are metres")
