@@ -77,7 +77,7 @@ def metres(source: Any, given: Any) -> Callable[[], object]:
     "call, message",
     [
         (metres(Metres(), HOLED), r"NaN at 1, negative at 1 and zero at 1 of 8 pixels"),
-        (metres(Metres(), 2000 * (T + 1)), "metres.*millimetres"),
+        (metres(Metres(), 2000 * (T + 1)), "metres.*divide by 1000"),
         (metres(Metres(planar=True), T + 1), "planar maps need the camera's view: give view="),
         (metres(Metres("fill"), 0 * T), "have a known pixel"),
         (metres(Relative(), T + 1), r"t must lie in \[0, 1\]"),

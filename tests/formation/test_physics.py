@@ -60,7 +60,7 @@ def truths() -> dict[str, list[Spread]]:
 def test_the_calibrated_law_ships_and_is_nearer_than_one_gaussian(truths) -> None:
     law = PointSpread.calibrated()
     assert CALIBRATED.shape == law.shape
-    assert CALIBRATED.widths == ((1.0, pytest.approx(law.scale / 1000), law.exponent),)
+    assert CALIBRATED.widths == ((1.0, pytest.approx(law.scale), law.exponent),)
     for truth, share in (("HG 0.924", 0.75), ("Petzold", 0.62), ("both", 0.65)):
         errors = (mean_error(law, truths[truth]) for law in (CALIBRATED, FORMER, PAPER))
         calibrated, former, paper = errors

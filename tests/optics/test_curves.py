@@ -74,7 +74,7 @@ def test_no_more_rates_than_needed(type: str) -> None:
 def test_the_error_in_the_repr_is_the_error() -> None:
     water = Water.jerlov("9C")
     medium = Medium.from_water(water, g=0.2, mu=0.3, tolerance=0.0005)
-    claimed = float(repr(medium).split("within ")[1].split()[0])
+    claimed = float(repr(medium).split("within ")[1].split(",")[0])
     assert max(errors(medium, water, depth=1.0, g=0.2, mu=0.3)) <= 1.1 * claimed
 
 

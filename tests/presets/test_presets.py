@@ -17,7 +17,7 @@ from uwaug.fitting.data import Geometry
 from uwaug.formation import Setting
 from uwaug.optics.view import WIDE
 from uwaug.presets import list_presets, load_preset
-from uwaug.presets.files import bundled_preset, preset_path
+from uwaug.presets.files import preset_path
 
 NAMES = sorted({*list_presets()} - {"night"})  # which differs from picture to picture
 KEPT = np.load(Path(__file__).parent.parent / "data" / "presets.npz")
@@ -191,7 +191,7 @@ def test_water_and_camera_in_place_of_the_files(tmp_path):
     assert load_preset(path).to_dict() == ours.to_dict()
 
 
-TEXT = bundled_preset("survey").read_text(encoding="utf-8")
+TEXT = preset_path("survey").read_text(encoding="utf-8")
 LINES = sorted({*re.findall(r"^\w+(?= =)", TEXT, re.MULTILINE)} - {"kind", "scale"})
 DRAWN = ["color_matrix", "exposure", "gamut", "light", "mu", "saturation", "tone"]
 DRAWN += ["vertical_depth", "waters", "white_balance"]
@@ -229,9 +229,9 @@ REFUSED = [
 ]
 """What takes the place of a pattern in a preset's file, and what is said of it."""
 ARGUMENTS: list[tuple[str, dict[str, Any], str]] = [
-    ("Survey", {}, "no preset is called 'Survey'; there are calibrated, depth-scaling-1"),
-    ("tank-adjusted-2", {"water": "II"}, "holds coefficients, which no water replaces"),
-    ("tank-adjusted-2", {"camera": "x"}, "holds coefficients, which no camera replaces"),
+    ("Survey", {}, "preset must be one of calibrated, depth-scaling-1.*got 'Survey'"),
+    ("tank-adjusted-2", {"water": "II"}, "holds coefficients"),
+    ("tank-adjusted-2", {"camera": "x"}, "holds coefficients"),
     ("survey", {"water": "11C"}, "water must be one of I, "),
     ("survey", {"camera": "D90"}, "camera must be one of"),
 ]

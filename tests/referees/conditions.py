@@ -298,7 +298,7 @@ def conditions() -> dict[str, dict[str, Case]]:
             "K_d·d = 500": _spectral(Spectra(a, b, (0.5,) * 3, 1000.0)),
             "table with NaN cells": _spectral(*_jerlov_5c()),
             "own spectra with NaN": _spectral(
-                Spectra((nan, *a[1:]), b, kd), Spectra(a, b, kd), error="a has 1 NaN"
+                Spectra((nan, *a[1:]), b, kd), Spectra(a, b, kd), error="a must be finite"
             ),
         },
         "surfaces": {},

@@ -179,6 +179,7 @@ def test_kept_daylight_has_no_lamps() -> None:
     assert _with_kept(sample, {"light": {"pitch": 3.0}})["light"] == {"pitch": 3.0}
 
 
+@pytest.mark.filterwarnings("ignore:even the nearest draws")
 def test_small_pictures_are_seen_as_the_whole_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     angles, transform = set(), RandomUnderwater.transform
 

@@ -98,7 +98,7 @@ def test_what_is_refused() -> None:
     for options, message in (
         ({"share": 1.5}, r"share must be in \[0, 1\]"),
         ({"rigs": ("torch",)}, "rigs must be one of vehicle, diver, strobe"),
-        ({"rigs": ()}, "rigs must be some of vehicle, diver, strobe, got"),
+        ({"rigs": ()}, "rigs must be one of vehicle, diver, strobe"),
         ({"cone": 120.0}, "cone must be a number or a range"),
     ):
         with pytest.raises((TypeError, ValueError), match=message):

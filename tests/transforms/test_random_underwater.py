@@ -433,7 +433,7 @@ def test_open_water(host: bool, monkeypatch: pytest.MonkeyPatch) -> None:
 NO_WATER = "times what is in it, which is hardly that water"
 THICK = RandomWater("chlorophyll=.01", visibility=2.0)
 SAID: list[tuple[RandomWater, Light | None, Tensor, str]] = [
-    (RandomWater("9C", field=None), None, wall(50.0), r"less than 3 % .* distance 50 m"),
+    (RandomWater("9C", field=None), None, wall(50.0), r"less than 3 % .* median of 50 m"),
     (RandomWater("I", contrast=0.4), None, wall(3.0), NO_WATER),
     (RandomWater("I", contrast=0.1), LIT, wall(0.5), NO_WATER),
     (THICK, None, wall(0.5), NO_WATER),
@@ -473,7 +473,7 @@ OPTIONS_REFUSED = [
     options(RandomWater, "contrast must be a number or a range", contrast=(0.5, 0.2)),
     options(RandomWater, "waters must have an order", waters={"II"}),
     options(RandomWater, "two are called 'tank'", waters=[TANK, NAMED]),
-    options(RandomWater, "mixing needs spectra", waters=["II", FIT], mixing=(0, 1)),
+    options(RandomWater, "mixing must be 0", waters=["II", FIT], mixing=(0, 1)),
     options(RandomWater, "visibility and contrast both", visibility=4.0, contrast=0.3),
     options(RandomUnderwater, "water must be one of", water="IX"),
     options(RandomUnderwater, r"p must be in \[0, 1\]", p=2.0),

@@ -84,7 +84,11 @@ def export_onnx(
     tell("tracing")
     with written_whole(path) as part:
         onnx.save(_model(module, coefficients, tell), part)
-        check_onnx(part, module, progress=tell)
+        try:
+            check_onnx(part, module, progress=tell)
+        except ValueError as error:
+            # nobody sees the part
+            raise ValueError(str(error).replace(str(part), str(path))) from error
     return path
 
 

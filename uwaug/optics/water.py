@@ -244,9 +244,11 @@ class Water(Spectra):
         checks.positive("metres", metres)
         checks.positive("contrast", contrast)
         name = f"{self.name} with {contrast:g} of the contrast at {metres:g} m"
+        fine = self._fine()
+        largest = fine._luminance(fine._pure()[:2].sum(0), metres)
+        if contrast > largest:
+            raise ValueError(f"{name}: the pure water in it leaves {largest:.4g}")
         factor = self.contents_for(contrast, metres)
-        if factor == 0:
-            raise ValueError(f"{name}: the pure water in it leaves no more")
         if math.isinf(factor):
             raise ValueError(f"{name}: it is but pure water to the eye, nothing to scale")
         provenance = (*self.provenance, f"{name}: all but pure water scaled by {factor:.4g}")

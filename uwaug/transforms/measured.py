@@ -55,7 +55,7 @@ def measure(pictures: Tensor, metres: Tensor, *, metered: bool) -> list[Measured
     height, width = metres.shape[-2:]
     points = metering_points(height, width, metres.device)[:SAMPLED]
     values, distances = pictures.detach().flatten(1), metres.detach().flatten(1)
-    rows = _rows_on_host if metres.is_cpu else _rows_on_device
+    rows = _rows_on_host if checks.on_host(metres) else _rows_on_device
     measurements = []
     for i, (dark, bright, near, far, median) in enumerate(rows(values, distances, points)):
         if math.isinf(median):  # all is open water, or all of the points
