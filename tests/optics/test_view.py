@@ -99,11 +99,11 @@ def planar(view: View) -> None:
     [
         (lambda: View(180.0), r"view: degrees must be in \[1, 170\], got 180"),
         (lambda: View(focal_px=0.0), "view: focal_px must be finite and > 0"),
-        (lambda: View(60, 410.0), "say the same, got degrees = 60 and focal_px = 410"),
+        (lambda: View(60, 410.0), "say the same, got both"),
         (lambda: View(center=3.0), "view: center must be"),
         (lambda: View(center=(math.nan, 3.0)), "view: center must be finite"),
         (lambda: RandomUnderwater(view="wide"), r"view must be a uwaug\.View, got str"),
-        (lambda: planar(View(focal_px=2.8)), "focal_px must be in px of the picture, got 2.8"),
+        (lambda: planar(View(focal_px=2.8)), "focal_px must be in px of the picture, .* got 2.8"),
     ],
 )
 def test_what_is_refused(call: Callable[[], object], words: str) -> None:
