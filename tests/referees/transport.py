@@ -40,6 +40,11 @@ class PhaseFunction:
     absorption: tuple[float, ...]
     sample: Sampler
 
+    @property
+    def mean_cosine(self) -> float:
+        """⟨cos θ⟩."""
+        return float(self.sample((np.arange(100_000) + 0.5) / 100_000)[0].mean())
+
 
 def henyey_greenstein(asymmetry: float) -> PhaseFunction:
     """Henyey & Greenstein (1941), of mean cosine `asymmetry`, 0 < asymmetry < 1."""
@@ -159,6 +164,7 @@ class Spread:
         lengths, absorption: b·z, a/b.
         direct, forward: shares of the light.
         transfer: function of the scattered light at `FREQUENCIES`.
+        encircled: share of the scattered light within each of `EDGES`[1:].
         figures: to print.
     """
 
@@ -167,27 +173,41 @@ class Spread:
     direct: float
     forward: float
     transfer: Array
+    encircled: Array
     figures: dict[str, float]
 
 
 def spread(landings: Landings, absorption: float) -> Spread:
     """Weigh a walk with absorption a/b.
 
-    Figures: shares D, F; g from D + F = e^(−(a + g b) z), of an endless plane; quantiles of the
-    tangent.
+    Figures: shares D, F; g from D + F = e^(−(a + g b) z), of an endless plane and of a disc of 10°
+    and 3° radius; quantiles of the tangent; root mean square tangent within 45°; mean and deviation
+    of its logarithm.
     """
     lengths, tangent = landings.lengths, landings.tangent
     weight = landings.weight * np.exp(-absorption * landings.path)
     direct, forward = float(np.exp(-(1 + absorption) * lengths)), float(weight.sum())
-    g = float(-np.log(direct + forward) / lengths - absorption)
-    figures = {"D": direct, "F": forward, "g": g}
+
+    def g(arrived: float) -> float:
+        return float(-np.log(arrived) / lengths - absorption)
+
+    figures = {"D": direct, "F": forward, "g": g(direct + forward)}
+    for degrees in (10, 3):
+        on_disc = tangent < np.tan(np.radians(degrees))
+        figures[f"g_{degrees}deg"] = g(direct + weight[on_disc].sum())
     order = np.argsort(tangent)
     share = np.cumsum(weight[order]) / forward
-    for percent in (25, 50, 75, 90):
+    for percent in (10, 25, 50, 75, 90):
         figures[f"q{percent}"] = float(np.interp(percent / 100, share, tangent[order]))
+    near = tangent < 1
+    logs = np.log(np.maximum(tangent, 1e-9))
+    centre = float(np.average(logs, weights=weight))
+    figures["rms_45deg"] = float(np.sqrt(np.average(tangent[near] ** 2, weights=weight[near])))
+    figures["log_mean"] = centre
+    figures["log_deviation"] = float(np.sqrt(np.average((logs - centre) ** 2, weights=weight)))
     mass, _ = np.histogram(tangent, EDGES, weights=weight / forward)
     transfer = j0(2 * np.pi * np.multiply.outer(FREQUENCIES, (EDGES[1:] + EDGES[:-1]) / 2)) @ mass
-    return Spread(lengths, absorption, direct, forward, transfer, figures)
+    return Spread(lengths, absorption, direct, forward, transfer, np.cumsum(mass), figures)
 
 
 def survey(phases: Sequence[PhaseFunction], photons: int) -> dict[str, list[Spread]]:
@@ -199,3 +219,8 @@ def survey(phases: Sequence[PhaseFunction], photons: int) -> dict[str, list[Spre
         for absorption in phase.absorption:
             found += [spread(landings, absorption) for landings in walks]
     return result
+
+
+def chosen(spreads: Sequence[Spread], lengths: float, absorption: float) -> Spread:
+    """The one of these b·z and a/b."""
+    return next(s for s in spreads if s.lengths == lengths and s.absorption == absorption)
