@@ -71,6 +71,19 @@ def test_a_dry_run_shows_rows_and_what_has_none(folder, run):
     assert sorted(folder.rglob("*")) == before
 
 
+def test_a_dry_run_refuses_what_the_run_would(folder, run):
+    tables = {
+        "name\nx.png\nx.png": "two rows are called x.png",
+        "film,time\nf,1\nf,": "has none: give each of its rows one",
+    }
+    for text, words in tables.items():
+        header, *cells = text.split("\n")
+        rows = [f"photos/{n}.png,{cell}" for n, cell in zip("ab", cells, strict=True)]
+        (folder / "t.csv").write_text("\n".join([f"picture,{header}", *rows]))
+        code, _, err = run("degrade", "t.csv", "--dry-run", "--out", "wet")
+        assert (code, words in err) == (2, True)
+
+
 def test_a_table_says_maps_labels_films_and_splits(folder, run):
     rows = ("photos/b.png,depth/a.png,valid,f", "photos/a.png,depth/a.png,,f")
     text = "\n".join(["picture,distance,split,film", *rows])
