@@ -181,8 +181,7 @@ def degrade(
         if dry_run:
             require_rows(rows)
             frames_of(rows)
-            if any(row.labels for row in rows):
-                open_labels(rows, classes)
+            open_labels(rows, classes)
             print(as_csv(rows[:_ROWS_SHOWN]), end="")
             return
         has_maps, is_film = any(row.distance for row in rows), any(row.film for row in rows)

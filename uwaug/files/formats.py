@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 FORMATS: tuple[type[Labels], ...] = (Coco, Yolo, Masks)
 ENDINGS = Yolo.endings + Masks.endings  # of files that are of one picture each
+SHARED = Coco.endings  # of files that are of many
 
 
 def formats() -> str:
@@ -22,8 +23,9 @@ def formats() -> str:
     return f"{', '.join(first)}, or {last}"
 
 
-def open_labels(rows: Sequence["Row"], classes: str | Path | None = None) -> Labels:
-    """Open the labels of rows, all in one format, which the endings of their names tell.
+def open_labels(rows: Sequence["Row"], classes: str | Path | None = None) -> Labels | None:
+    """Open the labels of rows, all in one format, which the endings of their names tell; None if
+    no row has any.
 
     Args:
         rows: rows of a table; those without labels are backgrounds.
@@ -36,7 +38,9 @@ def open_labels(rows: Sequence["Row"], classes: str | Path | None = None) -> Lab
         OSError: if a file cannot be read.
     """
     files = {row.labels.suffix.lower(): row.labels for row in rows if row.labels is not None}
-    format = next((format for format in FORMATS if files and {*files} <= {*format.endings}), None)
+    if not files:
+        return None
+    format = next((format for format in FORMATS if {*files} <= {*format.endings}), None)
     got = " and ".join(map(str, files.values()))
     if format is None:
         raise ValueError(f"labels: expected {formats()}, one of these for all rows, got {got}")

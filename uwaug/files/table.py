@@ -35,8 +35,8 @@ class Row(NamedTuple):
         labels: file of its labels, or a COCO file that labels others, too; None for a background.
         split: "train", "val" or "test"; or "".
         film: name of the film that it is a frame of, with one draw for all; "" without one.
-        time: when the frame was taken, in any unit; None: the frames follow as the rows do. Frames
-            of one time are of the cameras of a rig.
+        time: when the frame was taken, in any unit; None: the frames follow as the rows do. The
+            cameras of a rig have one clock, and a folder each or equal times.
     """
 
     name: str
@@ -94,9 +94,12 @@ def read_table(path: str | Path) -> list[Row]:
 
 def write_table(path: str | Path, rows: Sequence[Row]) -> None:
     """Write the table of a run as a CSV file, whole or not at all, with paths relative to it."""
-    path = Path(path)
-    folder = os.path.realpath(path.parent)
-    write_whole(path, as_csv(rows, folder).encode(errors="backslashreplace"))
+    write_whole(Path(path), table_in(Path(path).parent, rows))
+
+
+def table_in(folder: Path, rows: Sequence[Row]) -> bytes:
+    """The content of a table's file in a folder, with paths relative to it."""
+    return as_csv(rows, os.path.realpath(folder)).encode(errors="backslashreplace")
 
 
 def as_csv(rows: Sequence[Row], folder: str | None = None) -> str:
@@ -154,8 +157,8 @@ def propose(
         split = next((part for part in reversed(path.parts[:-1]) if part in SPLITS), "")
         shown = os.fsencode(place.as_posix()).decode(errors="backslashreplace")
         film = os.path.dirname(shown) or "." if sequence else ""
-        found = map_of(path, place, split), labels_of(path, place, split)
-        rows.append(Row(shown, path, *found, SPLITS.get(split, ""), film))
+        own = map_of(path, place, split), labels_of(path, place, split)
+        rows.append(Row(shown, path, *own, SPLITS.get(split, ""), film))
     # files beside the pictures, but for an EXR that holds its own distances
     cells = ((row.picture, file) for row in rows for file in (row.distance, row.labels) if file)
     taken = {os.path.abspath(file) for picture, file in cells if file != picture}
@@ -259,10 +262,11 @@ def _finder(
         expected = "expected {stem}, {folder} or {split}"
         raise ValueError(f"{column}: {given} has {{{min(unknown)}}}: {expected}")
     if not fields and not pattern.is_dir():
-        if pattern.stat() and pattern.suffix.lower() not in (*endings, ".json"):
-            raise ValueError(
-                f"{column}: expected a file ending in {', '.join(endings)}, got {given}"
-            )
+        pattern.stat()
+        accepted = endings if column == "distance" else (*endings, *formats.SHARED)
+        if pattern.suffix.lower() not in accepted:
+            expected = f"expected a file ending in {', '.join(accepted)}"
+            raise ValueError(f"{column}: {expected}, got {given}")
         return lambda path, place, split: pattern
 
     def file_of(path: Path, place: Path, split: str) -> Path | None:
@@ -315,7 +319,7 @@ def _require_own(column: str, rows_of: Mapping[Path, Sequence[Row]], count: int)
     """Refuse files that several of so many rows name, but not all, and that are of no one film."""
     takers: dict[str, list[Row]] = {}
     for file, those in rows_of.items():
-        if file.suffix.lower() != ".json":
+        if file.suffix.lower() not in formats.SHARED:
             takers.setdefault(os.path.realpath(file), []).extend(those)
     for name, those in takers.items():
         is_of_film = len({row.film for row in those}) == 1 and those[0].film

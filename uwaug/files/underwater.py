@@ -1,6 +1,5 @@
 """Pictures in files under water."""
 
-import os
 import warnings
 from collections.abc import Iterator, Sequence
 from os.path import splitext
@@ -22,7 +21,7 @@ from uwaug.files.recipe import Recipe
 from uwaug.files.record import digest, read_record, record_path
 from uwaug.files.run import Job, Progress, Work, require_apart, run, versions
 from uwaug.files.summary import Summary
-from uwaug.files.table import Row, as_csv, require_rows
+from uwaug.files.table import Row, require_rows, table_in
 from uwaug.formation.contrast import FAINT
 from uwaug.optics.curves import FARTHEST
 from uwaug.transforms.truth import MAPS, Truth
@@ -68,20 +67,18 @@ def degrade(
             another run is at work there.
         OSError: if `out` cannot be written.
     """
-    out, labels = Path(out), None
+    out = Path(out)
     if out.suffix.lower() in ENDINGS and not out.is_dir():
         raise ValueError(f"out (--out) must be a folder, got {out}")
     source = recipe.transform.distance
     require_rows(rows, with_maps=source.reads_maps)
     if isinstance(source, MadeUp) and any(row.film for row in rows):
         raise ValueError("distance made up from each frame would flicker: give files, or metres")
-    if any(row.labels for row in rows):
-        labels = open_labels(rows, recipe.classes)
+    labels = open_labels(rows, recipe.classes)
     for name in ("min_contrast", "classes"):
         if labels is None and getattr(recipe, name) is not None:
             flag = f"--{name.replace('_', '-')}"
             raise ValueError(f"{name} ({flag}) is of labels, of which none are given")
-    folder = os.path.realpath(out)
     return run(
         _Underwater(recipe, out),
         list(_jobs(recipe, rows, labels)),
@@ -92,7 +89,7 @@ def degrade(
         ray=ray,
         sheet=sheet,
         beside=beside,
-        lists={"table.csv": as_csv(rows, folder).encode(errors="backslashreplace")},
+        lists={"table.csv": table_in(out, rows)},
         progress=progress,
     )
 
