@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from uwaug.blur.kernels import HALVING
 from uwaug.fast.gate import inner, kernel
 from uwaug.fast.tables import (
     ENTRY_BITS,
@@ -170,7 +171,7 @@ TILE = 256  # px, width of a tile; others take up to half as long again
 # Pixels of which a tile has a multiple; and lines that go through a coarse grid side by side. (16
 # takes 10 to 80 % longer, 64 takes 20 to 40 %.)
 LANES = 32
-_HALVING = (f32(1 / 32), f32(5 / 32), f32(10 / 32))  # see `uwaug.blur.kernels.HALVING`
+_HALVING = (f32(HALVING[0]), f32(HALVING[1]), f32(HALVING[2]))  # which is symmetric
 # of the development's curves, see `uwaug.formation.development`
 GAMUT_FROM, BEYOND, DARK, TOE = f32(0.75), f32(4), f32(1e-8), f32(1e-4)
 _2, _255 = f32(2), f32(255)
