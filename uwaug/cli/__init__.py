@@ -1,1 +1,1 @@
-"""The command line, `uwaug …`. It computes nothing."""
+"""The command line, `uwaug …`."""

@@ -38,7 +38,8 @@ def _with_flag(message: str) -> str:
     name = message.partition(" ")[0].rstrip(":")
     flag = f"--{name.replace('_', '-')}"
     is_given = any(word.partition("=")[0] == flag for word in sys.argv)
-    return flag + message.removeprefix(name) if is_given else message
+    rest = message.removeprefix(name).removeprefix(f" ({flag})")  # which some name themselves
+    return flag + rest if is_given else message
 
 
 def require_folder(out: Path) -> None:

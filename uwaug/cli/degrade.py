@@ -135,7 +135,7 @@ def degrade(
     maps: Annotated[
         str | None,
         typer.Option(
-            help="Also write clean light, m·z, transmission, signal and veil, in linear light.",
+            help="Also write clean light, m·z, transmission, its direct share, signal, veil: linear light.",
             metavar="npy|exr",
         ),
     ] = None,
