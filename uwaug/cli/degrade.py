@@ -135,7 +135,8 @@ def degrade(
     maps: Annotated[
         str | None,
         typer.Option(
-            help="Also write clean light, m·z, transmission, its direct share, signal, veil: linear light.",
+            help="Also write clean light, m·z, transmission, its direct share, signal and veil, in "
+            "linear light.",
             metavar="npy|exr",
         ),
     ] = None,
