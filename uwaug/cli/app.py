@@ -17,6 +17,7 @@ from uwaug.cli.depth import depth
 from uwaug.cli.export import check, export
 from uwaug.cli.figures import compare, demo, plot
 from uwaug.cli.fit import fit
+from uwaug.cli.fit_patches import fit_patches
 from uwaug.cli.page import page
 from uwaug.cli.preset import preset, waters
 from uwaug.cli.warm_up import warm_up
@@ -38,6 +39,7 @@ _COMMANDS = (
     ("Pictures", page, "--image photo.jpg --distance depth.png --unit mm --holes behind --open"),
     ("Pictures", demo, ""),
     ("Waters", fit, "--clean air.png --observed wet.png --distance depth.npy --out fit.json"),
+    ("Waters", fit_patches, "charts.csv --color-space linear --out water.json"),
     ("Waters", waters, "site.csv --plot waters.png"),
     ("ONNX files", export, "--preset survey --water 7C --out 7C.onnx"),
     ("ONNX files", check, "7C.onnx"),
@@ -46,7 +48,7 @@ _COMMANDS = (
 """Commands, each with its heading in the help and the example below its flags."""
 
 for panel, command, example in _COMMANDS:
-    epilog = f"Example: uwaug {command.__name__} {example}" if example else None
+    epilog = f"Example: uwaug {command.__name__.replace('_', '-')} {example}" if example else None
     cls = Grouped if command is degrade else None
     app.command(cls=cls, rich_help_panel=panel, epilog=epilog)(command)
 app.add_typer(preset, name="preset", rich_help_panel="Waters")

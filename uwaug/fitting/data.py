@@ -33,7 +33,7 @@ Places = NDArray[np.int64]
 
 BLOCKS = 10  # blocks along the picture's short side; the residuals of one may depend on each other
 _MIN_PIXELS = 50  # usable pixels that a fit needs: three values of each for 12 to 17 numbers
-_MIN_SPAN = 0.03  # spread of the distances as a share of their median; less is one distance
+MIN_SPAN = 0.03  # spread of the distances as a share of their median; less is one distance
 _SAME_PICTURE = 2e-3  # mean difference, as a share of the light, below which two pictures are one
 _CLIPPED_LIGHT = 0.98  # linear light of the clean picture, 253 of 255: it may have been brighter
 _LEVEL_ROUNDING = 1e-3  # of a level of 8 bits, up to which a value is one
@@ -41,7 +41,7 @@ _BLUR_TOLERANCE = 2e-4  # error of the blurs, below which no residual can fall
 _WIDEST_BLUR = 1 / 5  # widest blur of a fitted width law, as a share of the picture's short side
 _JPEG_TABLE_SUM = 3688  # of the standard's table for luminance, which is quality 50
 _BINS = 20  # equal steps of distance, from each of which as many pixels are taken
-_NEAR_QUANTILE, _FAR_QUANTILE = 0.05, 0.95  # of the finite distances: the ends of their range
+NEAR_QUANTILE, FAR_QUANTILE = 0.05, 0.95  # of the finite distances: the ends of their range
 
 
 @plain
@@ -111,7 +111,7 @@ class Pictures:
 
     @cached_property
     def geometry(self) -> Geometry:
-        quantiles = (_NEAR_QUANTILE, 0.5, _FAR_QUANTILE)
+        quantiles = (NEAR_QUANTILE, 0.5, FAR_QUANTILE)
         nearest, reference, farthest = np.quantile(self.z[self.finite].numpy(), quantiles).tolist()
         size = (self.z.shape[-2], self.z.shape[-1])
         return Geometry(nearest, reference, farthest, size, min(size) * _WIDEST_BLUR)
@@ -177,7 +177,7 @@ class Pictures:
             raise ValueError(f"{got}: neither open water nor black or white, their distance known")
         z = self.z[self.usable].numpy()
         low, high = np.quantile(z, (0.02, 0.98))
-        if high - low < _MIN_SPAN * float(np.median(z[z < FARTHEST])):
+        if high - low < MIN_SPAN * float(np.median(z[z < FARTHEST])):
             got = f"distance is flat: all pixels lie at {low:.4g}–{high:.4g} m"
             raise ValueError(f"{got}: give a scene with depth, or pictures at several distances")
 
@@ -270,7 +270,7 @@ def _stratified(
     if len(places) <= count:
         return places
     z = z[places]
-    low, high = np.quantile(z, (_NEAR_QUANTILE, _FAR_QUANTILE))
+    low, high = np.quantile(z, (NEAR_QUANTILE, FAR_QUANTILE))
     step = np.clip((z - low) / max(high - low, 1e-9) * _BINS, 0, _BINS - 1).astype(np.int64)
     # the pixels of each step in turn: first one of each, then the second of each, …
     order = np.argsort(step, kind="stable")

@@ -33,6 +33,9 @@ _MEANINGS = {
     "gain": "times the light of clean",
     "exponent": "of σ over distance",
     "contents": "times those of the type",
+    "exposure": "times that of the first picture",
+    "light": "on the chart, of the common light",
+    "distance": "times that given",
 }
 # Range that a fit's module is planned for, in shares of the median and of the farthest distance.
 _NEAR_SHARE, _FAR_SHARE = 0.2, 1.5

@@ -1,0 +1,345 @@
+"""`fit_patches`: a water from the patches of colour charts at known distances."""
+
+import csv
+import io
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uwaug._support import checks
+from uwaug._support.atomic import read_text
+from uwaug._support.threads import one_thread
+from uwaug._support.types import Array, ColorSpace
+from uwaug.fitting.data import FAR_QUANTILE, MIN_SPAN, NEAR_QUANTILE, Geometry, Pixels, Places
+from uwaug.fitting.errors import parameters, remainder, sandwich
+from uwaug.fitting.model import (
+    COLOURS,
+    MAX_GAIN,
+    MODELS,
+    Bounds,
+    CoefficientModel,
+    Coefficients,
+    Model,
+    Quantity,
+)
+from uwaug.fitting.result import Fit
+from uwaug.fitting.solve import (
+    Objective,
+    Solution,
+    guess,
+    influence,
+    logit_prefit,
+    solve,
+)
+from uwaug.fitting.words import straight_line, unknown
+from uwaug.formation.colour import decoded, require_values
+from uwaug.formation.setting import Setting
+
+_MIN_PATCHES = 12  # values of each colour that a fit needs: four of each of its numbers
+_UNEVEN = 0.3  # default standard deviation of the logarithm of the light on a chart
+_MAX_SPREAD = 2.0  # largest standard deviation of a logarithm
+_MAX_LOG = 5.0  # of a chart's light and distance: it is far off
+_ROUGH_SHARE, _ROUGH_FLOOR = 0.05, 1e-3  # noise of a first fit: a share of the light, and a least
+_ROUNDS = 3  # of noise that is learnt from residuals
+_MIN_NOISE = 1e-4  # linear light; no camera is better
+_MAD = 1.4826  # standard deviations in a median absolute deviation of Gaussian noise
+_UNEVEN_LIGHT = 1.5  # ratio of the lights on charts that is worth a note
+
+
+class Patch(NamedTuple):
+    """A patch of a chart, as it is and as the water shows it.
+
+    Attributes:
+        picture: name of the picture; each has an exposure of its own.
+        chart: name of the chart in it; each has a light of its own, as charts lean and lie in
+            shade.
+        distance: from the camera along the ray, m.
+        air: red, green and blue without water, as measured or published for the patch.
+        water: red, green and blue in the picture; NaN where a value was clipped.
+    """
+
+    picture: str
+    chart: str
+    distance: float
+    air: tuple[float, ...]
+    water: tuple[float, ...]
+
+
+def read_patches(path: str | os.PathLike[str]) -> list[Patch]:
+    """Read patches from a CSV file with commas, or with semicolons and decimal commas.
+
+    Args:
+        path: a file whose first line names the columns, in any order: distance (m), air_red,
+            air_green, air_blue, red, green, blue; and picture and chart, without which there is
+            one picture, and a chart at each distance of a picture. An empty value of red, green or
+            blue was clipped. Other columns are left alone.
+
+    Raises:
+        ValueError: if it is no such table; the error names the line.
+        OSError: if it cannot be read.
+    """
+    text = read_text(Path(path))
+    mark = ";" if ";" in text.partition("\n")[0] else ","
+    rows = csv.DictReader(io.StringIO(text, newline=""), delimiter=mark, restval="")
+    header = [name.strip().lower() for name in rows.fieldnames or ()]
+    rows.fieldnames = header
+    in_air = [f"air_{colour}" for colour in COLOURS]
+    if missing := [name for name in ("distance", *in_air, *COLOURS) if name not in header]:
+        raise ValueError(f"{path}: expected a column {missing[0]}, got {', '.join(header)}")
+    patches = []
+    for row in rows:
+        cells = [row[name].strip().replace(",", ".") for name in ("distance", *in_air, *COLOURS)]
+        try:
+            distance, *values = (float(cell) if cell else math.nan for cell in cells)
+        except ValueError:
+            values = []
+        if not values or None in row:
+            got = f"got {', '.join(cells)}"
+            raise ValueError(f"{path}, line {rows.line_num}: expected a number a column, {got}")
+        picture = row.get("picture", "").strip()
+        chart = row.get("chart", "").strip() or f"{distance:g} m"
+        patches.append(Patch(picture, chart, distance, tuple(values[:3]), tuple(values[3:])))
+    return patches
+
+
+def fit_patches(
+    patches: Sequence[Patch],
+    *,
+    model: Literal["haze", "veil"] = "haze",
+    uneven: float = _UNEVEN,
+    distance_error: float = 0.0,
+    color_space: ColorSpace = "srgb",
+) -> Fit:
+    """Recover a water from patches of charts at known distances, such as a diver photographs with a
+    tape measure. Each picture has an exposure, and each chart a light of its own.
+
+    Args:
+        patches: of one water; pictures of other exposures, or other charts, may be among them.
+        model: "haze": one coefficient for the light of a patch and the veil, as there is where
+            patches are wider than the blur; or "veil": a coefficient for each.
+        uneven: standard deviation of the logarithm of the light on charts, 0…2; 0 if all are lit
+            alike. A chart in deep shade counts for less.
+        distance_error: standard deviation of distances, as a share of each, 0…2.
+        color_space: "srgb": values are decoded to linear light. "linear": they are taken as is, of
+            any camera's space up to a factor for each colour, but `air` and `water` of one.
+
+    Returns:
+        The fit, with the exposure of the first picture. Numbers are those of `uwaug.fit`, and
+        exposure of each picture (times that of the first), light of each chart.
+
+    Raises:
+        TypeError, ValueError: if a number does not suit; fewer than 12 patches have all colours; or
+            all are at one distance.
+
+    Examples:
+        >>> import math, uwaug
+        >>> from uwaug.fitting import Patch, fit_patches
+        >>> def seen(grey, z):  # a haze of .3/m, whose end is .4
+        ...     return (grey * math.exp(-0.3 * z) + 0.4 * (1 - math.exp(-0.3 * z)),) * 3
+        >>> charts = [(z, grey) for z in (1, 2, 4, 8) for grey in (0.03, 0.1, 0.3, 0.6)]
+        >>> patches = [Patch("1", f"{z} m", z, (grey,) * 3, seen(grey, z)) for z, grey in charts]
+        >>> round(fit_patches(patches, color_space="linear").parameters["beta_green"].value, 2)
+        0.3
+    """
+    checks.one_of("model", model, ("haze", "veil"))
+    checks.one_of("color_space", color_space, get_args(ColorSpace))
+    checks.within("uneven", uneven, 0.0, _MAX_SPREAD)
+    checks.within("distance_error", distance_error, 0.0, _MAX_SPREAD)
+    pictures, picture_of = _numbered([patch.picture for patch in patches])
+    charts, chart_of = _numbered([f"{patch.picture}/{patch.chart}".strip("/") for patch in patches])
+    pixels = _pixels(patches, chart_of, color_space)
+    near, median, far = np.quantile(pixels.z.numpy(), (NEAR_QUANTILE, 0.5, FAR_QUANTILE)).tolist()
+    geometry = Geometry(near, median, far, pixels.size, 0.0)
+    spreads = {"light": uneven, "distance": distance_error}
+    spreads = {kind: spread for kind, spread in spreads.items() if spread > 0}
+    # a medium that is made in inference mode could not be trained
+    with one_thread(), torch.inference_mode(False), torch.no_grad():
+        water = CoefficientModel(MODELS[model], geometry, True, {})
+        patch_model = _PatchModel(water, pictures, charts, picture_of, chart_of, spreads)
+        objective, solution = _solved(_WithSpreads(patch_model, pixels))
+        theta, pixels = solution.theta, objective.pixels
+        influences = influence(objective.residual(theta))
+        covariance = sandwich(objective.jacobian(theta), *influences, objective.charts)
+        numbers, matrix = parameters(patch_model, solution, covariance)
+        coefficients = patch_model.coefficients(theta)
+        medium, rest = water.medium(coefficients), remainder(objective, theta)
+        error = patch_model.render(theta, pixels) - pixels.observed
+        notes = _notes(patch_model, theta, error / pixels.observed)
+    rates = dict(zip(COLOURS, coefficients.G.tolist(), strict=True))
+    return Fit(
+        model=model,
+        parameters=numbers,
+        covariance=matrix,
+        setting=Setting(medium, color_space=color_space),
+        geometry=geometry,
+        rms=float(error[pixels.weights > 0].square().mean().sqrt()),
+        notes=(*notes, *straight_line(rates, geometry.farthest), *unknown(numbers)),
+        remainder=tuple(rest),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _PatchModel(Model):
+    """A water, exposures of pictures, light on charts, and distances of charts. θ holds that of the
+    water, then logarithms.
+    """
+
+    water: CoefficientModel
+    pictures: Sequence[str]
+    charts: Sequence[str]
+    picture_of: Places  # (N): number of the picture of each patch
+    chart_of: Places  # (N): number of its chart
+    spreads: dict[str, float]  # standard deviation of the logarithms of charts, by kind
+
+    @property
+    def name(self) -> str:
+        return self.water.spec.name
+
+    @cached_property
+    def bounds(self) -> dict[str, Bounds]:
+        exposure = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
+        of_chart = Bounds(-_MAX_LOG, _MAX_LOG, 0.0)
+        exposures = {f"exposure {i}": exposure for i in range(1, len(self.pictures))}
+        rows = [(kind, i) for kind in self.spreads for i in range(len(self.charts))]
+        return self.water.bounds | exposures | {f"{kind} {i}": of_chart for kind, i in rows}
+
+    def coefficients(self, theta: Array) -> Coefficients:
+        return self.water.coefficients(theta[: len(self.water.bounds)])
+
+    def factors(self, theta: Array) -> dict[str, Array]:
+        """Exposure of each picture; light and factor on the distance of each chart."""
+        logs = theta[len(self.water.bounds) :]
+        exposures, logs = np.split(logs, [len(self.pictures) - 1])
+        kinds = np.exp(logs).reshape(len(self.spreads), len(self.charts))
+        ones = dict.fromkeys(("light", "distance"), np.ones(len(self.charts)))
+        exposures = np.exp(np.concatenate([[0.0], exposures]))
+        return {"exposure": exposures, **ones, **dict(zip(self.spreads, kinds, strict=True))}
+
+    def render(self, theta: Array, pixels: Pixels) -> Tensor:
+        factors = self.factors(theta)
+        light, metres = (torch.from_numpy(factors[x][self.chart_of]) for x in ("light", "distance"))
+        lit = replace(pixels, clean=pixels.clean * light, z=pixels.z * metres)
+        exposure = torch.from_numpy(factors["exposure"][self.picture_of])
+        return exposure * self.water.render(theta[: len(self.water.bounds)], lit)
+
+    @cached_property
+    def quantities(self) -> list[Quantity]:
+        names = {"exposure": self.pictures, "light": self.charts, "distance": self.charts}
+        return self.water.quantities + [
+            Quantity(f"{kind}_{name}", "1", 0.02, f"{kind} {i}")
+            for kind in ("exposure", *self.spreads)
+            for i, name in enumerate(names[kind])
+        ]
+
+    def report(self, theta: Array) -> Array:
+        factors = self.factors(theta)
+        of_water = self.water.report(theta[: len(self.water.bounds)])
+        return np.hstack([of_water, *(factors[kind] for kind in ("exposure", *self.spreads))])
+
+
+class _WithSpreads(Objective[_PatchModel]):
+    """Residuals of the patches, and numbers of charts in standard deviations of their spread."""
+
+    @property
+    def charts(self) -> Places:
+        """Number of the chart of each residual."""
+        model = self.model
+        own = np.tile(np.arange(len(model.charts)), len(model.spreads))
+        return np.concatenate([self.pixels.blocks_of_values, own])
+
+    @property
+    def _own(self) -> Array:
+        """Derivatives of the residuals of the numbers of charts, the last of θ."""
+        model = self.model
+        rates = np.repeat([1 / spread for spread in model.spreads.values()], len(model.charts))
+        count = len(model.bounds)
+        return np.asarray(np.eye(count)[count - len(rates) :] * rates[:, None])
+
+    def residual(self, theta: Array) -> Array:
+        return np.concatenate([super().residual(theta), self._own @ theta])
+
+    def jacobian(self, theta: Array) -> Array:
+        return np.concatenate([super().jacobian(theta), self._own])
+
+
+def _numbered(names: Sequence[str]) -> tuple[list[str], Places]:
+    """Each name once, and the number of that of each."""
+    unique = list(dict.fromkeys(names))
+    return unique, np.array([unique.index(name) for name in names], dtype=np.int64)
+
+
+def _pixels(patches: Sequence[Patch], chart_of: Places, color_space: ColorSpace) -> Pixels:
+    """Patches as pixels whose blocks are charts."""
+    z = torch.tensor([patch.distance for patch in patches], dtype=torch.float64)
+    air, water = (
+        torch.tensor(values, dtype=torch.float64).reshape(-1, 3).T.reshape(1, 3, 1, -1)
+        for values in ([patch.air for patch in patches], [patch.water for patch in patches])
+    )
+    is_used = (water > 0) & (water < (1 if color_space == "srgb" else math.inf))
+    if (count := int(is_used.sum(3).min())) < _MIN_PATCHES:
+        got = f"only {count} have a value between black and white of each colour"
+        raise ValueError(f"patches: {got}, expected at least {_MIN_PATCHES}")
+    if not (z > 0).all() or float(z.max() - z.min()) < MIN_SPAN * float(z.median()):
+        raise ValueError(f"patches: expected several distances > 0, got {z.tolist()}")
+    water = torch.where(water.isnan(), 0.0, water)
+    for name, light in (("patches: air", air), ("patches: water", water)):
+        require_values(light, color_space, name)
+    air, water = decoded(air, color_space), decoded(water, color_space)
+    return Pixels(
+        clean=air,
+        observed=water,
+        z=z.reshape(1, 1, 1, -1),
+        weights=is_used / (_ROUGH_SHARE * water + _ROUGH_FLOOR),
+        places=np.arange(len(patches)),
+        blocks=chart_of,
+        stacks={},
+        size=(1, len(patches)),
+    )
+
+
+def _solved(objective: _WithSpreads) -> tuple[_WithSpreads, Solution]:
+    """The least cost, with pixels weighed by a noise that the residuals tell: a share of the light
+    for each colour.
+    """
+    model, pixels = objective.model, objective.pixels
+    water = Objective(model.water, pixels)
+    theta = logit_prefit(water, model.water.start(guess(water)))
+    solution = solve(objective, np.pad(theta, (0, len(model.bounds) - len(theta))))
+    is_used = pixels.weights > 0
+    # numbers of charts and pictures take a part of the residuals
+    count = int(is_used.sum())
+    freedom = max(count - len(model.bounds), count / 4) / count
+    for _ in range(_ROUNDS):
+        light = model.render(solution.theta, pixels)
+        share = (pixels.observed / light - 1).abs()
+        medians = [float(share[0, c][is_used[0, c]].median()) for c in range(3)]
+        spread = _MAD * torch.tensor(medians).reshape(1, 3, 1, 1) / math.sqrt(freedom)
+        weights = is_used / (spread * light).clamp(min=_MIN_NOISE)
+        objective = _WithSpreads(model, replace(pixels, weights=weights))
+        solution = solve(objective, solution.theta)
+    return objective, solution
+
+
+def _notes(model: _PatchModel, theta: Array, errors: Tensor) -> list[str]:
+    """Sentences on a fit whose values are off by shares of themselves."""
+    off = float(errors[errors.isfinite()].abs().median())
+    notes = [
+        f"Model {model.name!r}: {model.water.spec.words}.",
+        f"Half of all values are off by less than {100 * off:.2g} %.",
+    ]
+    light = model.factors(theta)["light"]
+    if light.max() > _UNEVEN_LIGHT * light.min():
+        darkest, brightest = (model.charts[int(i)] for i in (light.argmin(), light.argmax()))
+        notes.append(
+            f"Charts are lit unevenly: {darkest} by {light.min():.2g}, {brightest} by "
+            f"{light.max():.2g} of the common light."
+        )
+    return notes
