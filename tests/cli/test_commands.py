@@ -719,3 +719,25 @@ def test_a_medium_of_coefficients_has_grades(folder, run):
     shares = [json.loads(path.read_text())["contrast"] for path in records]
     assert shares == sorted(set(shares), reverse=True)
     assert shares[0] > 4 * shares[-1]
+
+
+def test_charts_at_known_distances_become_a_preset(folder, run):
+    lines = ["chart,distance,air_red,air_green,air_blue,red,green,blue"]
+    for chart, z in enumerate((1.5, 3.0, 5.0, 8.0)):
+        for grey in (0.03, 0.1, 0.2, 0.3):
+            seen = [
+                grey * np.exp(-g * z) - v * np.expm1(-g * z) for g, v in ((0.4, 0.1), (0.2, 0.3))
+            ]
+            lines.append(",".join(map(str, (chart, z, grey, grey, grey, *seen, seen[1]))))
+    (folder / "charts.csv").write_text("\n".join(lines))
+    flags = ("--color-space", "linear", "--figure", "water.png", "--out", "water.json")
+    code, out, _ = run("fit-patches", "charts.csv", *flags)
+    assert code == 0
+    assert "beta_red" in out
+    numbers = json.loads((folder / "water.json").read_text())["parameters"]
+    assert numbers["beta_red"]["value"] == pytest.approx(0.4, rel=0.05)
+    assert (folder / "water.png").stat().st_size > 1000
+    assert run("degrade", "photos", *MAPS, "--preset", "water.json", "--out", "alike")[0] == 0
+    (folder / "charts.csv").write_text("\n".join(lines[:6]))
+    code, _, err = run("fit-patches", "charts.csv", *flags, "--force")
+    assert (code, "expected at least 12" in err) == (2, True)

@@ -1,0 +1,1 @@
+"""The model held against real water: charts at known distances, tanks in rising turbidity."""
