@@ -1,0 +1,1 @@
+"""The model held against real water at known distances."""
