@@ -9,9 +9,9 @@ import argparse
 from pathlib import Path
 
 from benchmarks.harness import save
-from benchmarks.water import charts
+from benchmarks.water import charts, edges
 
-PARTS = {"charts": charts.main}
+PARTS = {"charts": charts.main, "edges": edges.main}
 
 
 def main() -> None:

@@ -9,28 +9,31 @@ water knows that.
 import csv
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
+import matplotlib
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 from torch.nn.functional import huber_loss
 
 import uwaug
+from benchmarks.figures.charts import STYLE, save_small
 from benchmarks.harness import use_threads
-from uwaug.fitting import Patch, fit_patches
+from uwaug.fitting import Patch, fit_patches, fit_veil
 from uwaug.formation.learnable import LearnableMedium
 from uwaug.optics.jerlov import JERLOV_TYPES
 
 Array = Any
 GREYS = ("gray1", "gray2", "gray3", "gray4", "black")
-COLOURS = ("red", "yellow", "green", "blue", "purple", "magenta", "maroon")
-"""Patches whose colour in air the kit trusts."""
-
 GREEN = 1
 UNEVEN = 0.3  # standard deviation of the logarithm of the light on charts
-STEPS = 800  # of Adam
+RESAMPLES = 1000
+STEPS = 4000  # of Adam
 
 
 class Seen(NamedTuple):
@@ -65,8 +68,15 @@ def read_charts(kit: Path, names: Sequence[str] = GREYS, space: str = "cam") -> 
     return list(charts.values())
 
 
+class Fold(NamedTuple):
+    """Numbers of charts."""
+
+    known: list[int]
+    left_out: list[int]
+
+
 class Model(NamedTuple):
-    """A fitted model: light and veil of a white surface at a distance (3 each), exposures."""
+    """A fitted model: light of a white surface, and veil, at a distance (3 each)."""
 
     light: Callable[[float], Array]
     veil: Callable[[float], Array]
@@ -113,8 +123,8 @@ def fitted(charts: Sequence[Seen], **options: Any) -> Model:
     return of_medium(fit_patches(patches, color_space="linear", **options).medium)
 
 
-def by_adam(charts: Sequence[Seen]) -> Model:
-    """A learnable medium and gains of colours, pictures and charts, by PyTorch's Adam."""
+def by_adam(charts: Sequence[Seen]) -> uwaug.Medium:
+    """A medium that PyTorch's Adam learns, with gains of colours, pictures and charts."""
     start = uwaug.Medium.from_coefficients((0.2,) * 3, (0.2,) * 3, (0.2,) * 3)
     learnable = LearnableMedium(start, ("rates", "veil")).double()
     names = [chart.picture for chart in charts]
@@ -137,8 +147,8 @@ def by_adam(charts: Sequence[Seen]) -> Model:
         adam.zero_grad()
         (loss + (lights / UNEVEN).square().sum() / 2).backward()
         adam.step()
-    model, gain = of_medium(learnable()), gains.exp().detach().numpy().ravel()
-    return model._replace(light=lambda z: gain * model.light(z))
+    medium: uwaug.Medium = learnable()
+    return medium
 
 
 def of_type(charts: Sequence[Seen]) -> Model:
@@ -167,10 +177,10 @@ def of_type(charts: Sequence[Seen]) -> Model:
     return best[1]
 
 
+OURS = "uwaug: one rate a colour, a light for each chart"
 ARMS: Mapping[str, Callable[[Sequence[Seen]], Model]] = {
-    "uwaug: one rate a colour, a light for each chart": fitted,
+    OURS: fitted,
     "the same, two rates": partial(fitted, model="veil"),
-    "the same by Adam": by_adam,
     "Jaffe-McGlamery: one rate, charts lit alike": partial(fitted, uneven=0.0),
     "Akkaynak: two rates, charts lit alike": partial(fitted, model="veil", uneven=0.0),
     "the nearest of ten Jerlov types, as published": of_type,
@@ -178,103 +188,166 @@ ARMS: Mapping[str, Callable[[Sequence[Seen]], Model]] = {
 NEAREST = "the nearest chart's colours"
 
 
-def errors(water: Array, expected: Array) -> Array:
-    return np.abs(expected / water.clip(1e-4) - 1)
+class Prediction(NamedTuple):
+    """Values of a chart that was left out, and what a model says of them (Nx3 each)."""
+
+    distance: float  # m
+    seen: Array
+    alone: Array
+    lit: Array  # with the light that the green of its brightest patch tells; NaN there
+
+    def errors(self, kind: str) -> Array:
+        """Errors as shares of what is seen."""
+        return np.abs(getattr(self, kind) / self.seen.clip(1e-4) - 1)
 
 
-def told(model: Model, chart: Seen, exposure: float) -> Array:
-    """Errors of a chart (N) whose light the green of its brightest patch tells."""
+def predicted(model: Model, chart: Seen, exposure: float) -> Prediction:
+    """What a model says of a chart."""
     air, water = values(chart)
-    dark = model.seen(0 * air, chart, exposure)
-    lit = model.seen(air, chart, exposure) - dark
+    dark, alone = (model.seen(x, chart, exposure) for x in (0 * air, air))
     i = int(air[:, GREEN].argmax())
-    light = (water[i] - dark[i])[GREEN] / lit[i, GREEN]
-    error = errors(water, dark + light * lit)
-    error[i, GREEN] = np.nan
-    return error
+    light = (water[i] - dark[i])[GREEN] / (alone - dark)[i, GREEN]
+    lit = dark + light * (alone - dark)
+    lit[i, GREEN] = np.nan
+    return Prediction(chart.distance, water, alone, lit)
 
 
-def left_out(
-    charts: Sequence[Seen], folds: Sequence[tuple[list[int], list[int]]]
-) -> dict[str, Any]:
-    """Errors (values of a chart, 3) of each chart that is left out, by arm: alone and told."""
-    rows: dict[str, dict[str, list[Array]]] = {
-        name: {"alone": [], "with its light": []} for name in (*ARMS, NEAREST)
-    }
-    for known, unknown in folds:
-        trained = [charts[i] for i in known]
+def copied(near: Seen, chart: Seen) -> Prediction:
+    """The colours of another chart, alone and by the ratio of their brightest green."""
+    names = [name for name in chart.air if name in near.air]
+    water, other = (np.array([x.water[name] for name in names]) for x in (chart, near))
+    lit = other * water[0, GREEN] / other[0, GREEN]
+    lit[0, GREEN] = np.nan
+    return Prediction(chart.distance, water, other, lit)
+
+
+def left_out(charts: Sequence[Seen], folds: Sequence[Fold]) -> dict[str, list[Prediction]]:
+    """What each arm says of the charts that are left out of a fit."""
+    rows: dict[str, list[Prediction]] = {name: [] for name in (*ARMS, NEAREST)}
+    for fold in folds:
+        trained = [charts[i] for i in fold.known]
         for name, arm in ARMS.items():
             model = arm(trained)
-            for chart in (charts[i] for i in unknown):
+            for chart in (charts[i] for i in fold.left_out):
                 same = [x for x in trained if x.picture == chart.picture]
-                exposure = model.exposure(same or [chart], UNEVEN)
-                air, water = values(chart)
-                rows[name]["alone"].append(errors(water, model.seen(air, chart, exposure)))
-                rows[name]["with its light"].append(told(model, chart, exposure))
-        for chart in (charts[i] for i in unknown):
+                rows[name].append(predicted(model, chart, model.exposure(same or [chart], UNEVEN)))
+        for chart in (charts[i] for i in fold.left_out):
             same = [x for x in trained if x.picture == chart.picture] or trained
             near = min(same, key=lambda x: abs(x.distance - chart.distance))
-            names = [x for x in chart.air if x in near.air]
-            water, other = (np.array([x.water[name] for name in names]) for x in (chart, near))
-            rows[NEAREST]["alone"].append(errors(water, other))
-            ratio = water[0, GREEN] / other[0, GREEN]
-            error = errors(water, ratio * other)
-            error[0, GREEN] = np.nan
-            rows[NEAREST]["with its light"].append(error)
+            rows[NEAREST].append(copied(near, chart))
     return rows
 
 
-def median(units: Sequence[Array]) -> tuple[float, float, float]:
-    """Median of all values, and its 95 % interval over charts."""
-    rng = np.random.default_rng(0)
-
-    def of(chosen: Sequence[Array]) -> float:
-        return float(np.nanmedian(np.concatenate([x.ravel() for x in chosen])))
-
-    draws = [of([units[i] for i in rng.integers(0, len(units), len(units))]) for _ in range(1000)]
-    return of(units), *map(float, np.quantile(draws, (0.025, 0.975)))
-
-
-def folds_of(charts: Sequence[Seen]) -> dict[str, list[tuple[list[int], list[int]]]]:
-    """What is known and what is left out: each chart, each picture, near charts, far charts."""
+def folds_of(charts: Sequence[Seen]) -> dict[str, list[Fold]]:
+    """What is left out, by name. Exposures are told by other charts of the picture, or else by the
+    chart itself.
+    """
     count = range(len(charts))
     pictures = sorted({chart.picture for chart in charts})
-    z = {p: np.median([c.distance for c in charts if c.picture == p]) for p in pictures}
-    near = [i for i in count if charts[i].distance <= z[charts[i].picture]]
+    members = {p: [i for i in count if charts[i].picture == p] for p in pictures}
+    middle = {p: np.median([charts[i].distance for i in members[p]]) for p in pictures}
+    near = [i for i in count if charts[i].distance <= middle[charts[i].picture]]
     far = [i for i in count if i not in near]
-    alone = [i for i in count if sum(c.picture == charts[i].picture for c in charts) == 1]
+    with_others = [i for rows in members.values() if len(rows) > 1 for i in rows]
     return {
-        "each chart": [([j for j in count if j != i], [i]) for i in count if i not in alone],
-        "near tell far": [(near, far)],
-        "far tell near": [(far, near)],
-        "each picture": [
-            (
-                [i for i in count if charts[i].picture != p],
-                [i for i in count if charts[i].picture == p],
-            )
-            for p in pictures
-        ],
+        "each chart": [Fold([j for j in count if j != i], [i]) for i in with_others],
+        "far charts": [Fold(near, far)],
+        "near charts": [Fold(far, near)],
+        "each picture": [Fold([i for i in count if i not in x], x) for x in members.values()],
     }
+
+
+def medians(rows: Sequence[Prediction], ours: Sequence[Prediction], kind: str) -> Array:
+    """Median error of an arm, and by how much it is more than ours, each with its ends of 95 % over
+    charts (2x3).
+    """
+
+    def of(predictions: Sequence[Prediction], chosen: Array) -> float:
+        parts = [predictions[i].errors(kind).ravel() for i in chosen]
+        return float(np.nanmedian(np.concatenate(parts)))
+
+    rng, count = np.random.default_rng(0), len(rows)
+    draws = [np.arange(count), *rng.integers(0, count, (RESAMPLES, count))]
+    errors = np.array([(of(rows, draw), of(rows, draw) - of(ours, draw)) for draw in draws])
+    return np.stack([errors[0], *np.quantile(errors[1:], (0.025, 0.975), axis=0)], 1)
+
+
+def doors(kit: Path, charts: Sequence[Seen]) -> dict[str, Any]:
+    """Rates and veils of all charts, by each door of the package."""
+    rows: dict[str, Any] = {}
+    patches = [patch for chart in charts for patch in chart.patches]
+    for model in ("haze", "veil"):
+        fit = fit_patches(patches, model=model, color_space="linear")
+        rows[f"fit_patches, {model}"] = {
+            name: [number.value, number.low, number.high]
+            for name, number in fit.parameters.items()
+            if name.startswith(("beta", "G_", "veil", "source"))
+        }
+    medium = by_adam(charts)
+    rows["Adam"] = {"beta": medium.G.tolist(), "veil": medium.veil_weights.sum(-1).tolist()}
+    for path in sorted((kit / "charts" / "pictures").glob("*_distance.npz")):
+        picture = path.name.partition("_distance")[0]
+        image = cv2.imread(str(path.with_name(f"{picture}_lin16.png")), cv2.IMREAD_UNCHANGED)
+        z = np.load(path)
+        z = torch.from_numpy(z[z.files[0]].astype(np.float32))[None]
+        light = torch.from_numpy(image[..., ::-1].astype(np.float32) / 65535).permute(2, 0, 1)
+        z = torch.nn.functional.interpolate(z[None], light.shape[1:], mode="nearest")[0]
+        fit = fit_veil(light, z.where(z > 0, torch.nan), color_space="linear")
+        rows[f"fit_veil, {picture}"] = {
+            name: [number.value, number.low, number.high] for name, number in fit.parameters.items()
+        }
+    for name, numbers in rows.items():
+        print(name, numbers)
+    return rows
 
 
 def main(kit: Path) -> dict[str, Any]:
     """Print the tables and return their numbers."""
-    results: dict[str, Any] = {}
     use_threads(1)
+    results: dict[str, Any] = {}
+    results["doors"] = doors(kit, read_charts(kit))
     for space in ("cam", "meas"):
         charts = read_charts(kit, space=space)
         for split, folds in folds_of(charts).items():
+            print(
+                f"\n{space}, left out: {split}. Median error, % (more than ours, 95 % over charts)"
+            )
             rows = left_out(charts, folds)
-            print(f"\n{space}, {split} left out: median error of greys, % (95 % over charts)")
-            for name, kinds in rows.items():
-                numbers = {kind: median(units) for kind, units in kinds.items()}
-                results.setdefault(space, {}).setdefault(split, {})[name] = numbers
-                cells = [
-                    f"{100 * m:5.1f} ({100 * a:.1f} to {100 * b:.1f})"
-                    for m, a, b in numbers.values()
-                ]
-                print(
-                    f"  {name:50s}",
-                    *(f"{kind}: {cell}" for kind, cell in zip(numbers, cells, strict=True)),
-                )
+            for name, kind in product(rows, ("alone", "lit")):
+                numbers = medians(rows[name], rows[OURS], kind)
+                results.setdefault(f"{space}, {split}", {})[f"{name}, {kind}"] = numbers.tolist()
+                (error, low, high), (more, least, most) = 100 * numbers
+                cells = f"{error:5.1f} ({low:.1f} to {high:.1f})"
+                more_cells = f"{more:+5.1f} ({least:+.1f} to {most:+.1f})"
+                print(f"  {name:50s} {kind:6s} {cells:22s} {more_cells}")
+            if (space, split) == ("cam", "each chart"):
+                draw(rows[OURS])
     return results
+
+
+def draw(rows: Sequence[Prediction]) -> None:
+    """Predicted against measured patches of charts that were left out, by distance."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure((7, 3.4), dpi=110, layout="constrained")
+        axes = figure.subplots(1, 2, sharey=True)
+        titles = {"alone": "From its distance alone", "lit": "With the light on the chart"}
+        for axis, (kind, title) in zip(axes, titles.items(), strict=True):
+            for row, (c, mark) in product(rows, enumerate("os^")):
+                z = np.full(len(row.seen), row.distance)
+                points = axis.scatter(
+                    row.seen[:, c],
+                    getattr(row, kind)[:, c],
+                    16,
+                    z,
+                    mark,
+                    cmap="viridis",
+                    vmin=1,
+                    vmax=10,
+                )
+            ends = 0.04, 1.0
+            axis.plot(ends, ends, color="0.6", linewidth=0.8, zorder=0)
+            axis.set(xscale="log", yscale="log", xlim=ends, ylim=ends, title=title)
+            axis.set_xlabel("measured: red (disc), green (square), blue (triangle)")
+        axes[0].set_ylabel("predicted")
+        figure.colorbar(points, label="distance [m]")
+        save_small(figure, "water")

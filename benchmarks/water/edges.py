@@ -9,7 +9,7 @@
 * **Black**: light of a chart where it reflects nothing. Veil apart it is spread from around, so "b"
   is the most that the law may scatter, and that leaves no veil.
 * **Tank**: what direct light and an uneven veil leave of a turbid picture's spread, and with a blur
-  of the clean one. A mirrored blur knows nothing of the scene: what it takes off is chance.
+  of the clean picture. A mirrored blur knows nothing of the scene: what it takes off is chance.
 
 Boards in green alone: blue clips more often, and red is lost beyond 4 m.
 """
@@ -75,16 +75,20 @@ def boards(kit: Path) -> list[Board]:
     """All charts with a crop."""
     with (kit / "patches.csv").open() as file:
         patches = list(csv.DictReader(file))
-    found = []
-    for one in json.loads((kit / "corners.json").read_text()).values():
-        crops = list((kit / "crops").glob(f"{one['scene']}_chart{one['chart']}_x*_y*.png"))
-        rows = [p for p in patches if (p["scene"], p["chart"]) == (one["scene"], str(one["chart"]))]
+    on_boards = []
+    for corner in json.loads((kit / "corners.json").read_text()).values():
+        crops = list((kit / "crops").glob(f"{corner['scene']}_chart{corner['chart']}_x*_y*.png"))
+        rows = [
+            p
+            for p in patches
+            if (p["scene"], p["chart"]) == (corner["scene"], str(corner["chart"]))
+        ]
         if not (crops and rows):
             continue
         origin = np.array(re.findall(r"_[xy](\d+)", crops[0].stem)[-2:], float)
-        corners = np.array(one["corners_fullres_TL_TR_BR_BL"]) - origin
+        corners = np.array(corner["corners_fullres_TL_TR_BR_BL"]) - origin
         crop = linear(crops[0])
-        canvas, shift = _about(kit / "pictures" / f"{one['scene']}_lin16.png", crop, origin)
+        canvas, shift = _about(kit / "pictures" / f"{corner['scene']}_lin16.png", crop, origin)
         box = np.concatenate([corners.min(0) + shift, corners.max(0) + shift]) / SCALE
         greys = [p for p in rows if p["patch"].startswith(("gray", "black")) and p["usable"] == "1"]
         points = np.array([[p["ref_G"], p["meas_G"]] for p in greys], float).reshape(-1, 2)
@@ -93,8 +97,8 @@ def boards(kit: Path) -> list[Board]:
         width = float(np.linalg.norm(corners[1] - corners[0]))
         sides = [side for sign in (1, -1) for side in _side(crop, corners, sign)]
         distance = float(rows[0]["distance_m"])
-        found.append(Board(distance, crop, canvas, shift, sides, width, box, black))
-    return sorted(found, key=lambda board: board.distance)
+        on_boards.append(Board(distance, crop, canvas, shift, sides, width, box, black))
+    return sorted(on_boards, key=lambda board: board.distance)
 
 
 def _about(picture: Path, crop: Array, origin: Array) -> tuple[Array, Array]:
@@ -214,8 +218,8 @@ def halo(board: Board, share: float, sigma: float, again: bool = False) -> Array
     for side in board.sides:
         seen = across(seen_image, side, x, board.shift, SCALE).mean(0) < CLIPPED
         pairs = []
-        for one in (image, before):
-            on, off = (across(one, side, way, board.shift, SCALE).mean(0) for way in (x, -x))
+        for picture in (image, before):
+            on, off = (across(picture, side, way, board.shift, SCALE).mean(0) for way in (x, -x))
             levels = [off, on[seen]] if seen.mean() > 0.5 else [off]
             pairs.append([(level - level.mean()) / (on.mean() - off.mean()) for level in levels])
         for level, flat in zip(*pairs, strict=True):
@@ -289,10 +293,10 @@ def tank(clean: Array, turbid: Array) -> dict[str, float]:
 
 def main(kit: Path) -> dict[str, Any]:
     """Measure a kit, print, and return the numbers, each with its interval of 95 %."""
-    found = [board for board in boards(kit / "charts") if board.sides]
+    on_boards = [board for board in boards(kit / "charts") if board.sides]
     results: dict[str, Any] = {"core": {}, "halo": {}, "black": {}, "tank": {}}
     for low, high in BANDS:
-        here = [b for b in found if low <= b.distance < high]
+        here = [b for b in on_boards if low <= b.distance < high]
         cores = [core(b, side) for b in here for side in b.sides]
         edges = np.array([pair for pair in cores if pair[0] > 0]).reshape(-1, 2)
         if not len(edges):
@@ -309,18 +313,20 @@ def main(kit: Path) -> dict[str, Any]:
             row[f"calibrated, b {b:g}: share, px"] = [float(v) for v in calibrated(b * distance)]
             row[f"paper, b {b:g}: share, px"] = [float(v) for v in paper(b * distance)]
         results["core"][f"{distance:.1f} m"] = row
-    for b in LIKELY if found else ():
+    for b in LIKELY if on_boards else ():
         for again in (False, True):
-            products = np.array([halo(one, *calibrated(b * one.distance), again) for one in found])
+            products = np.array(
+                [halo(board, *calibrated(b * board.distance), again) for board in on_boards]
+            )
             # least squares over boards
             results["halo"][f"b {b:g}" + (", spread once more" if again else "")] = interval(
                 lambda i: np.divide(*products[i].sum(0)), len(products)
             )
-    for one in found:
-        if one.black:
-            limits = [most(one, black) for black in one.black]
-            row = {"black": one.black[0], "b": [limits[0], min(limits), max(limits)]}
-            results["black"].setdefault(f"{one.distance:.2f} m", row)
+    for board in on_boards:
+        if board.black:
+            limits = [most(board, black) for black in board.black]
+            row = {"black": board.black[0], "b": [limits[0], min(limits), max(limits)]}
+            results["black"].setdefault(f"{board.distance:.2f} m", row)
     pairs = []
     for file in sorted((kit / "turbid" / "clean").glob("*.jpg")):
         paths = file, kit / "turbid" / "degraded" / file.name
