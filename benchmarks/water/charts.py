@@ -30,6 +30,9 @@ from uwaug.optics.jerlov import JERLOV_TYPES
 
 Array = Any
 GREYS = ("gray1", "gray2", "gray3", "gray4", "black")
+COLOURS = ("red", "yellow", "green", "blue", "purple", "magenta", "maroon")
+"""Patches whose colour in air the kit trusts."""
+
 GREEN = 1
 UNEVEN = 0.3  # standard deviation of the logarithm of the light on charts
 RESAMPLES = 1000
@@ -205,7 +208,9 @@ def predicted(model: Model, chart: Seen, exposure: float) -> Prediction:
     """What a model says of a chart."""
     air, water = values(chart)
     dark, alone = (model.seen(x, chart, exposure) for x in (0 * air, air))
-    i = int(air[:, GREEN].argmax())
+    # of colours the kit knows less
+    is_grey = np.isin([*chart.air], GREYS)
+    i = int((air[:, GREEN] * is_grey).argmax())
     light = (water[i] - dark[i])[GREEN] / (alone - dark)[i, GREEN]
     lit = dark + light * (alone - dark)
     lit[i, GREEN] = np.nan
@@ -322,7 +327,27 @@ def main(kit: Path) -> dict[str, Any]:
                 print(f"  {name:50s} {kind:6s} {cells:22s} {more_cells}")
             if (space, split) == ("cam", "each chart"):
                 draw(rows[OURS])
+    print("\nColours, with the light on the chart: median error of red, green and blue, %")
+    results["colours"] = colours(kit)
     return results
+
+
+def colours(kit: Path) -> dict[str, Any]:
+    """Errors of colours on charts that were left out of a fit to greys, in linear sRGB."""
+    greys = read_charts(kit, space="meas")
+    charts = {(x.picture, x.chart): x for x in read_charts(kit, (*GREYS, *COLOURS), "meas")}
+    rows: dict[str, list[Array]] = {name: [] for name in COLOURS}
+    for known, (i,) in folds_of(greys)["each chart"]:
+        model, chart = fitted([greys[k] for k in known]), charts[greys[i][:2]]
+        same = [greys[k] for k in known if greys[k].picture == chart.picture]
+        errors = predicted(model, chart, model.exposure(same, UNEVEN)).errors("lit")
+        for name, error in zip(chart.air, errors, strict=True):
+            if name in COLOURS:
+                rows[name].append(error)
+    table = {name: np.nanmedian(errors, 0).tolist() for name, errors in rows.items() if errors}
+    for name, numbers in table.items():
+        print(f"  {name:10s}", *(f"{100 * x:5.1f}" for x in numbers))
+    return table
 
 
 def draw(rows: Sequence[Prediction]) -> None:
