@@ -372,7 +372,7 @@ def draw(rows: Sequence[Prediction]) -> None:
             ends = 0.04, 1.0
             axis.plot(ends, ends, color="0.6", linewidth=0.8, zorder=0)
             axis.set(xscale="log", yscale="log", xlim=ends, ylim=ends, title=title)
-            axis.set_xlabel("measured: red (disc), green (square), blue (triangle)")
         axes[0].set_ylabel("predicted")
+        figure.supxlabel("measured: red (discs), green (squares), blue (triangles)", fontsize=8)
         figure.colorbar(points, label="distance [m]")
         save_small(figure, "water")
