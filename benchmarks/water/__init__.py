@@ -1,0 +1,1 @@
+"""The model held against charts at known distances in real water."""
