@@ -20,8 +20,7 @@ from uwaug.optics.jerlov import JERLOV_TYPES
 CAMERAS = ("Nikon 5100 (NPL)", "Sigma SDMerill (NPL)")
 DEPTHS = np.arange(0.0, 31.0, 2.0)  # m
 CONTENTS = np.geomspace(0.02, 40, 41)  # times those of a type
-STEP = 0.25  # m: pixels are near enough to a chart's distance
-DARKEST = 0.01  # share of these pixels
+STEP, DARKEST = 0.25, 0.01  # m, near enough to a chart's distance; share of these pixels
 
 
 class Contrasts(NamedTuple):
@@ -51,8 +50,8 @@ class Contrasts(NamedTuple):
         design = np.vstack([(rows / self.errors[..., None]).reshape(3 * count, -1), lights])
         target = np.concatenate([(values / self.errors).ravel(), np.zeros(count)])
         answer = np.linalg.lstsq(design, target, rcond=None)[0]
-        squares = float(np.square(design @ answer - target).sum())
-        return squares, answer[gains + count :], np.linalg.pinv(design.T @ design)[-3:, -3:]
+        left, covariance = design @ answer - target, np.linalg.pinv(design.T @ design)
+        return float(left @ left), answer[gains + count :], covariance[-3:, -3:]
 
 
 def contrasts_of(patches: Patches) -> Contrasts:
@@ -103,7 +102,8 @@ def dark(kit: Path, patches: Patches, charts: Contrasts) -> dict[str, Array]:
     rows = {}
     for path in sorted((kit / "charts/pictures").glob("*_distance.npz")):
         scene = path.name.removesuffix("_distance.npz")
-        picture = cv2.imread(str(path.with_name(f"{scene}_lin16.png")), cv2.IMREAD_UNCHANGED)
+        file = path.with_name(f"{scene}_lin16.png")
+        picture = np.asarray(cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
         z = np.load(path)["distance_m"].astype(np.float32)
         z = cv2.resize(z, picture.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         light = picture[..., ::-1] / 65535 @ patches.to_camera.T
@@ -123,9 +123,9 @@ def main(kit: Path) -> dict[str, Any]:
     """Print the rates by two readings, what speaks against one veil, and the types."""
     torch.set_num_threads(1)
     patches = read(kit)
-    charts = contrasts_of(greys(patches))
+    charts, haze = contrasts_of(greys(patches)), fit_haze(greys(patches))
     squares, rates, covariance = charts.explained()
-    haze, differ = fit_haze(greys(patches)), np.array([[1, 0, -1], [0, 1, -1]])
+    differ = np.array([[1, 0, -1], [0, 1, -1]])
     errors, spread = (np.sqrt(np.diag(x)) for x in (covariance, differ @ covariance @ differ.T))
     print("rates of red, green, blue, 1/m, each with its standard errors")
     shown("contrasts", np.append(rates, errors))
