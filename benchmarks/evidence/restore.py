@@ -93,8 +93,8 @@ Restore = Callable[[Array], Array]
 
 
 class Net(nn.Module):
-    """Gives pictures back (Bx3xHxW, 0…1). One that inverts says the logarithm of transmission, and
-    veil, too (Bx6xHxW), and by these finds the scene; of others they are 0.
+    """Gives pictures back (Bx3xHxW, 0…1). One that inverts says the logarithm of the direct share,
+    and veil, too (Bx6xHxW), and by these finds the scene; of others they are 0.
     """
 
     def __init__(self, inverts: bool) -> None:
@@ -121,8 +121,8 @@ class Net(nn.Module):
         answer = self.last(inner)
         if not self.inverts:
             return picture + answer, torch.zeros_like(answer).repeat(1, 2, 1, 1)
-        transmission, veil = answer[:, :3].clamp(-6, 2).exp(), answer[:, 3:]
-        light = ((srgb_to_linear(picture) - veil) / transmission).clamp(1e-4, 2)
+        direct, veil = answer[:, :3].clamp(-6, 2).exp(), answer[:, 3:]
+        light = ((srgb_to_linear(picture) - veil) / direct).clamp(1e-4, 2)
         return linear_to_srgb(light), answer
 
 
@@ -170,14 +170,14 @@ def pairs_of(name: str, pool: Pool, shown: list[Array], seed: int) -> tuple[Tens
 
 
 def mapped(pool: Pool, seed: int) -> tuple[Tensor, Tensor, Tensor]:
-    """The same of the defaults, with maps of transmission and veil as the camera shows them."""
+    """The same of the defaults, with maps of direct share and veil as the camera shows them."""
     rng, augment = np.random.default_rng(seed), uwaug.RandomUnderwater()
     wet, maps = [], []
     for image, distance in [*zip(pool.images, pool.distances, strict=True)] * DRAWS:
         scenes = augment.scenes(image, distance, augment.make_params(image))
         truth = scenes.truth()
         assert truth is not None  # as p is 1
-        light = torch.stack([truth.transmission, truth.veil])
+        light = torch.stack([truth.direct, truth.veil])
         arriving, veil = torch.einsum("ij,njhw->nihw", truth.gain, light)
         wet.append(through_camera(scenes.formed()[None], rng)[0])
         maps.append(torch.cat([arriving.clamp(min=1e-3).log(), veil]))

@@ -1,0 +1,62 @@
+"""Charts in a water that is known."""
+
+import numpy as np
+import pytest
+
+from benchmarks.water import restore, waters
+from benchmarks.water.patches import GREYS, Patches, fit_haze
+from uwaug import Medium
+
+RATES, VEIL = np.array([0.3, 0.2, 0.25]), np.array([0.02, 0.05, 0.06])
+GAINS = {"near": np.array([2.0, 3.0, 4.0]), "far": np.array([1.0, 5.0, 2.0])}
+WOBBLE = 1 + 0.002 * np.sin(np.arange(15)).reshape(5, 3)  # noise, alike in all charts
+REFLECTANCES = np.array([0.24, 0.18, 0.12, 0.08, 0.03])[:, None].repeat(3, 1)
+
+
+def charts(water: restore.Water) -> Patches:
+    """Greys of five charts in two pictures."""
+    parts = []
+    for picture, metres in (
+        ("near", 1.5),
+        ("near", 3.0),
+        ("near", 6.0),
+        ("far", 5.0),
+        ("far", 9.0),
+    ):
+        z = np.full(5, metres)
+        arriving, veil = water(z)
+        wet = GAINS[picture] * (arriving * REFLECTANCES + veil) * WOBBLE
+        names = np.array([picture] * 5), np.array([f"{picture} {metres}"] * 5), np.array(GREYS)
+        parts.append((*names, z, wet, REFLECTANCES, wet, REFLECTANCES))
+    return Patches(*map(np.concatenate, zip(*parts, strict=True)), np.eye(3))
+
+
+def haze(z):
+    """A rate a colour."""
+    return np.exp(-RATES * z[:, None]), VEIL * -np.expm1(-RATES * z[:, None])
+
+
+def test_contrasts_tell_rates_whatever_the_veil():
+    patches = charts(lambda z: (haze(z)[0], np.sqrt(z)[:, None] * VEIL))
+    squares, rates, covariance = waters.contrasts_of(patches).explained()
+    assert rates == pytest.approx(RATES, abs=0.01)
+    assert squares < 1
+    assert (np.diag(covariance) > 0).all()
+
+
+def test_a_type_as_it_is_explains_its_own_charts_best(monkeypatch):
+    monkeypatch.setattr(waters, "CONTENTS", np.array([0.5, 2.0]))
+    medium = Medium.from_water("IB", vertical_depth=6.0, tolerance=0)
+    patches = charts(restore.of_medium(medium))
+    table = waters.types(waters.contrasts_of(patches), waters.CAMERAS[0])
+    assert min(table, key=lambda name: table[name]["direct"]) == "IB"
+    assert table["IB"]["direct"] < table["IB"]["direct, scaled"] + 1e-9
+
+
+def test_haze_is_found_and_undone():
+    patches = charts(haze)
+    water = fit_haze(patches)
+    assert water.beta == pytest.approx(RATES, rel=0.03)
+    near = patches.of(patches.pictures == "near")
+    assert restore.dry(near, water.terms) == pytest.approx(near.truth, rel=0.05)
+    assert restore.dry(near, restore.nothing) != pytest.approx(near.truth, rel=0.2)
