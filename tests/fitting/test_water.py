@@ -65,6 +65,17 @@ def test_depth_that_is_not_identified(two: None) -> None:
     assert fit.parameters["visibility"].value == pytest.approx(wanted, rel=0.1)
 
 
+def test_white_balance_is_no_water_if_it_is_free(two: None) -> None:
+    balanced = medium_of("3C", 5.0).brightened(torch.tensor([[2.2, 1.0, 1.4]]))
+    known = {"vertical_depth": 5.0, "surfaces": "spectral", "pixels": 500}
+    fit = fit_water(*seen(balanced), balance="free", **known)
+    assert fit_water(*seen(balanced), **known).model != "3C"
+    assert fit.model == "3C"
+    gains = [fit.parameters[f"gain_{colour}"].value for colour in ("red", "green", "blue")]
+    assert gains == pytest.approx([2.2, 1.0, 1.4], rel=0.15)
+    assert fit.parameters["contents"].value == pytest.approx(1, rel=0.03)
+
+
 @pytest.mark.parametrize(
     "given",
     [

@@ -16,7 +16,7 @@ from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.api import Progress, checked_options
 from uwaug.fitting.choose import FittedModel, block_losses, result_of
 from uwaug.fitting.data import Geometry, Pictures, Pixels
-from uwaug.fitting.model import MAX_GAIN, MAX_OPTICAL_DEPTH, Bounds, Model, Quantity
+from uwaug.fitting.model import COLOURS, MAX_GAIN, MAX_OPTICAL_DEPTH, Bounds, Model, Quantity
 from uwaug.fitting.result import Fit
 from uwaug.fitting.solve import Objective, loss, reweighed, roughly_weighed, solve
 from uwaug.formation.setting import Setting
@@ -45,12 +45,13 @@ _RESULT_TOLERANCE = 0.002  # of the medium of a result
 # Linear light. Media and blurs of the default tolerance are off by .0007 RMS, and half of a step
 # of 8 bits is .002: of each colour about so much is alike everywhere.
 _OFFSET = 1e-4
+_GAINS = {"known": ("gain",), "free": tuple(f"gain_{colour}" for colour in COLOURS)}
 
 
 @dataclass(frozen=True, eq=False)
 class TypeModel(Model):
     """A scene in a Jerlov type with contents multiplied by a factor. θ holds the logarithms of
-    contents and gain, and the vertical depth [m].
+    contents and gains, and the vertical depth [m].
     """
 
     water: Water
@@ -62,6 +63,7 @@ class TypeModel(Model):
     view: View
     depth: float | None  # m; None if it is fitted
     geometry: Geometry
+    gains: tuple[str, ...]  # of all colours together, or of each
     offset: float = _OFFSET
 
     @property
@@ -76,12 +78,13 @@ class TypeModel(Model):
         bounds = {"contents": Bounds(low, high, 0.0)}
         if self.depth is None:
             bounds["vertical_depth"] = Bounds(0.0, _MAX_VERTICAL_DEPTH, 3.0)
-        return bounds | {"gain": Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)}
+        gain = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
+        return bounds | dict.fromkeys(self.gains, gain)
 
     def numbers(self, theta: Array) -> dict[str, float]:
         numbers = dict(zip(self.bounds, theta.tolist(), strict=True))
         depth = max(numbers.get("vertical_depth", self.depth) or 0.0, 0.0)
-        factors = {name: math.exp(numbers[name]) for name in ("contents", "gain")}
+        factors = {name: math.exp(numbers[name]) for name in ("contents", *self.gains)}
         return {**factors, "vertical_depth": depth}
 
     def water_of(self, theta: Array) -> Water:
@@ -100,7 +103,8 @@ class TypeModel(Model):
             surfaces=self.surfaces,
             tolerance=tolerance,
         )
-        return medium.brightened(torch.tensor([numbers["gain"]], dtype=torch.float64))
+        gains = [numbers[name] for name in self.gains]
+        return medium.brightened(torch.tensor([gains], dtype=torch.float64))
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         medium = self.medium(theta).in_pixels(pixels.size, self.view)
@@ -113,7 +117,7 @@ class TypeModel(Model):
             Quantity("visibility", "m", 0.0, "contents"),
             Quantity("contents", "1", 0.05, "contents"),
             Quantity("vertical_depth", "m", 0.5, "vertical_depth"),
-            Quantity("gain", "1", 0.05, "gain"),
+            *(Quantity(name, "1", 0.05, name) for name in self.gains),
         ]
 
     def report(self, theta: Array) -> Array:
@@ -137,6 +141,7 @@ def fit_water(
     mu: float | None = None,
     point_spread: PointSpread | None = None,
     view: View | float = WIDE,
+    balance: Literal["known", "free"] = "known",
     color_space: ColorSpace = "srgb",
     jpeg: int | None = None,
     pixels: int = 5000,
@@ -156,6 +161,9 @@ def fit_water(
         vertical_depth: depth of the scene below the surface, m; None: it is fitted, 0…30 m.
         point_spread: width law; None: `PointSpread.calibrated`.
         view: of the camera, a `uwaug.View` or its angle in degrees.
+        balance: "known": white is as in `clean`, and the gain is one for all colours. "free": each
+            colour has its own. Depth is less sure then; but a white balance that is taken for water
+            gives a wrong type, without a note.
         pixels: number of pixels to fit, 500…100 000.
 
     Returns:
@@ -177,6 +185,7 @@ def fit_water(
     """
     say = checked_options(pixels, seed, progress)
     camera = load_camera(camera)
+    checks.one_of("balance", balance, _GAINS)
     checks.one_of("surfaces", surfaces, (*get_args(Surfaces), "auto"))
     if vertical_depth is not None:
         checks.within("vertical_depth", vertical_depth, *checks.DOMAIN["vertical_depth"])
@@ -186,7 +195,10 @@ def fit_water(
     view = View.of(view)
     checks.instance("point_spread", law, PointSpread)
     models = [
-        TypeModel(Water.jerlov(name), camera, kind, g, mu, law, view, vertical_depth, geometry)
+        TypeModel(
+            *(Water.jerlov(name), camera, kind, g, mu, law, view, vertical_depth),
+            *(geometry, _GAINS[balance]),
+        )
         for kind in (get_args(Surfaces) if surfaces == "auto" else (surfaces,))
         for name in JERLOV_TYPES
     ]
@@ -250,17 +262,19 @@ def _notes(result: Fit, model: TypeModel) -> list[str]:
 
 
 def _start(objective: Objective[TypeModel]) -> Array:
-    """The best θ of a grid of visibilities and depths, with a gain by linear least squares."""
+    """The best θ of a grid of visibilities and depths, with gains by linear least squares."""
     model, pixels = objective.model, objective.pixels
     observed = pixels.observed * pixels.weights
     trials = []
     for visibility in _START_VISIBILITIES * model.geometry.reference:
         contents = max(model.water.contents_for(_VISIBLE_CONTRAST, visibility), _MIN_CONTENTS)
         for depth in _START_DEPTHS if model.depth is None else (model.depth,):
-            numbers = {"contents": math.log(contents), "vertical_depth": depth, "gain": 0.0}
-            theta = np.clip([numbers[name] for name in model.bounds], *objective.bounds)
+            numbers = {"contents": math.log(contents), "vertical_depth": depth}
+            theta = np.clip([numbers.get(name, 0.0) for name in model.bounds], *objective.bounds)
             light = model.render(theta, pixels) * pixels.weights
-            gain = float((light * observed).sum() / light.square().sum().clamp(min=1e-300))
-            theta[-1] = math.log(min(max(gain, 1 / MAX_GAIN), MAX_GAIN))
+            products = (light * observed).reshape(len(model.gains), -1).sum(1)
+            squares = light.square().reshape(len(model.gains), -1).sum(1).clamp(min=1e-300)
+            gains = (products / squares).clamp(1 / MAX_GAIN, MAX_GAIN)
+            theta[-len(gains) :] = gains.log().numpy()
             trials.append((float(loss(objective.residual(theta)).sum()), theta))
     return min(trials, key=lambda trial: trial[0])[1]
