@@ -165,14 +165,14 @@ def scenes_of(
                 film = measured.of_film(draw.measured, draw.passed) if is_film else measured
                 of_films.append(film)
                 drawn = waters[n] if waters else water.water(draw.water, film.median)
-                scenes.append(_scene(draw, drawn, measured, film, nouns, view))
+                scenes.append(scene_of(draw, drawn, measured, film, nouns, view))
         metres = metres.double() if pictures.dtype == torch.float64 else metres
         metres = metres.clamp(max=FARTHEST)
         z = metres * water.fields(applied, of_films, metres, view)
     return Scenes(image, pictures, chosen, z, metres, scenes)
 
 
-def _scene(
+def scene_of(
     draw: Draw,
     drawn: tuple[Water | Medium, float],
     measured: Measured,
