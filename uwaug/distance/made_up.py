@@ -139,8 +139,8 @@ def _enlarged(maps: Tensor, height: int, width: int) -> Tensor:
     rows = maps.shape[1]
     wide = interpolate(maps[None], (rows, width), mode="bilinear")[0]
     # `interpolate` of both sides takes three times as long
-    places = (torch.arange(height, device=maps.device) + 0.5) * (rows / height) - 0.5
-    places = places.clamp(0, rows - 1)
+    index = torch.arange(height, dtype=maps.dtype, device=maps.device)
+    places = ((index + 0.5) * (rows / height) - 0.5).clamp(0, rows - 1)
     above = places.long()
     below = (above + 1).clamp(max=rows - 1)
     large = wide.index_select(1, above)
