@@ -69,6 +69,7 @@ def beside_recipe(size: int, turns: int) -> dict[str, Any]:
 def main(quick: bool = False) -> None:
     """Run all parts and save the figures."""
     use_threads(1)
+    torch.manual_seed(0)  # the same draws each time
     with torch.no_grad(), loops(True):
         counts = calls(3 if quick else 60)
         print(f"a draw: {counts['calls']:g} calls in {counts['files']:g} files", flush=True)
