@@ -19,7 +19,7 @@ from uwaug.distance.sources import Metres, Source
 from uwaug.distance.unknown import FARTHEST_SEEN
 from uwaug.formation.colour import decoded, linear_to_srgb, require_values
 from uwaug.formation.contrast import FAINT, contrast_left, metres_for
-from uwaug.formation.each import form_each
+from uwaug.formation.image import form_each
 from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
