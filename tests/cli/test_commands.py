@@ -15,7 +15,6 @@ import uwaug
 from uwaug.cli.choices import with_tables
 from uwaug.cli.degrade import degrade
 from uwaug.distance import MadeUp, Metres, Plane, Relative
-from uwaug.fitting.data import jpeg_quality
 from uwaug.transforms.random_underwater import SEVERITIES
 
 
@@ -481,15 +480,6 @@ def test_options_of_a_file_are_exported(flags, folder, run, monkeypatch):
     assert modules[0].view.degrees == 40
 
 
-@pytest.mark.parametrize("quality", [95, 75, 30, 20])
-def test_the_quality_of_a_jpeg_file(tmp_path, quality):
-    picture = Image.fromarray(np.random.default_rng(0).integers(0, 255, (16, 24, 3), np.uint8))
-    for ending, expected in (("jpg", quality), ("png", None)):
-        path = tmp_path / f"a.{ending}"
-        picture.save(path, quality=quality)
-        assert jpeg_quality(path) == (expected and pytest.approx(expected, abs=1))
-
-
 def test_a_veil_is_estimated_without_a_clean_picture(folder, run):
     z = torch.linspace(1, 9, 48 * 64).reshape(1, 48, 64)
     clean = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0)) ** 4
@@ -527,19 +517,22 @@ def test_a_haze_of_encoded_values_is_fitted_and_made_again(folder, run):
     assert np.abs(np.load("again/clean.npy").astype(int) - np.load("observed.npy")).max() <= 2
 
 
-def test_what_a_fit_of_waters_takes_for_known_is_given(folder, run, monkeypatch):
-    given = {}
+@pytest.mark.parametrize("quality", [None, 95, 75, 30, 20])
+def test_what_a_fit_of_waters_takes_for_known_is_given(folder, run, monkeypatch, quality):
+    given, wet = {}, "b.jpg" if quality else "b.png"
 
     def fit_water(*pictures, **options):
         given.update(options)
         raise ValueError("seen")
 
     monkeypatch.setattr("uwaug.fitting.fit_water", fit_water)
-    scene = ("--clean", "photos/a.png", "--observed", "photos/a.png", "--distance", "3")
+    Image.open("photos/b.png").save(wet, quality=quality)
+    scene = ("--clean", "photos/a.png", "--observed", wet, "--distance", "3")
     options = ("--camera", "mine.csv", "--g", ".1", "--mu", "0.02", "--focal-px", "300")
     assert "seen" in run("fit", *scene, "--out", "f.json", "--model", "waters", *options)[2]
     assert (given["camera"], given["g"], given["mu"]) == ("mine.csv", 0.1, 0.02)
     assert given["view"].focal_px == 300
+    assert given["jpeg"] == (quality and pytest.approx(quality, abs=1))
 
 
 def test_a_fit_leaves_out_what_it_is_told_to(folder, run):
