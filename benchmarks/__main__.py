@@ -21,6 +21,7 @@ PARTS = {
     "like": "accuracy",
     "training": "evidence",
     "throughput": "speed",
+    "draw": "speed",
     "page": "speed",
     "gallery": "figures",
     "summary": "figures",

@@ -6,7 +6,6 @@ per second of a GPU where there is one, and of a DataLoader; an ONNX file beside
 
 import math
 import os
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -179,26 +178,6 @@ def lamps(size: int, count: int) -> dict[str, float]:
     return ratios
 
 
-def calls(fast: bool) -> int:
-    """Python calls of a default picture, the median of some."""
-    image, distance = (values[0] for values in scene(256))
-    augment, counts = uwaug.RandomUnderwater(), []
-
-    def counted(frame: object, event: str, argument: object) -> None:
-        counts[-1] += event == "call"
-
-    with loops(fast):
-        warm(augment, image, distance)
-        for index in range(25):
-            counts.append(0)
-            sys.setprofile(counted)
-            try:
-                augment.at(0, 0, index)(image, distance)
-            finally:
-                sys.setprofile(None)
-    return int(np.median(counts))
-
-
 def device(size: int, count: int, rounds: int) -> dict[str, float]:
     """Pictures per second on a GPU, bytes in and out, beside direct light and a veil alone and a
     copy of the pixels.
@@ -286,13 +265,12 @@ def main(quick: bool = False) -> None:
             if torch.cuda.is_available()
         },
         "lamps": {str(size): lamps(size, 2 if quick else 150) for size in sizes if size < 1024},
-        "calls": {"eager": calls(False), "loops": calls(True)},
         "first_picture_s": float(printed(FIRST, UWAUG_FAST="1")),
         "loader": {
             str(size): loader(size, 2, 16 if quick else 400) for size in sizes if size < 1024
         },
     }
-    print(f"calls {results['calls']}, first picture {results['first_picture_s']:.1f} s")
+    print(f"first picture {results['first_picture_s']:.1f} s")
     if not quick:
         results["file"] = {**file_against_loops(), "640×480/s": frames()}  # exports take minutes
         print(save("throughput", results))

@@ -71,3 +71,4 @@ def test_the_inverse_comes_near_the_scene(deepinv: Any) -> None:
     physics, x = UnderwaterPhysics(uwaug.Medium.from_water("1C"), metres()), scene()
     y = physics(x)
     assert (physics.A_dagger(y) - x).square().mean() < 0.36 * (y - x).square().mean()
+    assert torch.allclose(physics.A_dagger(y, x_init=x), x, atol=1e-4)

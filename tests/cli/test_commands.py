@@ -15,7 +15,6 @@ import uwaug
 from uwaug.cli.choices import with_tables
 from uwaug.cli.degrade import degrade
 from uwaug.distance import MadeUp, Metres, Plane, Relative
-from uwaug.fitting.data import jpeg_quality
 from uwaug.transforms.random_underwater import SEVERITIES
 
 
@@ -328,7 +327,6 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
         ("degrade photos --distance 3 --contrast 2 --out wet", "Error: --contrast must be"),
         ("degrade photos --variants=0 --out wet", "Error: --variants must be 1 or more"),
         ("degrade photos --min-contrast 2 --out wet", "Error: --min-contrast must be in [0, 1]"),
-        ("degrade photos --min-contrast .1 --out wet", "is of labels, of which none are given"),
         ("degrade photos --set drift=.1 --out wet", "is of films: give --sequence"),
         ("degrade photos --sequence --set motion=fast --out wet", "motion must be three numbers"),
         ("page --distance nowhere.npy --unit mm --out page.html", "of a picture: give --image"),
@@ -336,10 +334,6 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
             "fit --clean a.png --observed b.png --distance z.npy --out f.json --model waters "
             "--gain fixed",
             "--gain fixed needs --clean, and another model",
-        ),
-        (
-            "fit --clean a.png --observed b.png --distance 3 --out f.json --surfaces grey",
-            "--surfaces is of --model waters",
         ),
         (
             "fit --clean a.png --observed b.png --distance 3 --out f.json --mu .02",
@@ -352,8 +346,6 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
         ("fit --observed b.png --distance 3 --out f.json --model waters", "needs --clean"),
         ("degrade photos --set water.vertical_depth=-1 --out wet", "Error: vertical_depth must be"),
         ("degrade photos --set vertical_depth=1 --out wet", "has no 'vertical_depth', only water,"),
-        ("degrade photos --out photos", "is read, and would be written over: another folder?"),
-        ("degrade photos/a.png --out a.jpg", "must be a folder, got a.jpg"),
         ("degrade photos --out depth", "depth is not empty, and of no run"),
         ("degrade photos --distance 3 --set turbidity=2 --out wet", "turbidity"),
         (
@@ -365,6 +357,7 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
         ("degrade photos --distance depth --set distance.kind=inverse --out wet", "mean Inverse?"),
         ("degrade photos --options night.toml --out wet", "did you mean light?"),
         ("degrade photos --contrast .3 --set water.contrast.low=1 --out wet", "0.3, no table"),
+        ("degrade photos --view 20 --focal-px 40 --out wet", "degrees and focal_px say the same"),
         ("degrade photos --plain --out wet", "give both, one --water and --distance"),
         ("degrade photos --plain --water 3C --out wet", "give both, one --water and --distance"),
         ("degrade photos --plain --preset survey --distance 3 --out wet", "exclude each other"),
@@ -481,15 +474,6 @@ def test_options_of_a_file_are_exported(flags, folder, run, monkeypatch):
     assert modules[0].view.degrees == 40
 
 
-@pytest.mark.parametrize("quality", [95, 75, 30, 20])
-def test_the_quality_of_a_jpeg_file(tmp_path, quality):
-    picture = Image.fromarray(np.random.default_rng(0).integers(0, 255, (16, 24, 3), np.uint8))
-    for ending, expected in (("jpg", quality), ("png", None)):
-        path = tmp_path / f"a.{ending}"
-        picture.save(path, quality=quality)
-        assert jpeg_quality(path) == (expected and pytest.approx(expected, abs=1))
-
-
 def test_a_veil_is_estimated_without_a_clean_picture(folder, run):
     z = torch.linspace(1, 9, 48 * 64).reshape(1, 48, 64)
     clean = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0)) ** 4
@@ -527,19 +511,22 @@ def test_a_haze_of_encoded_values_is_fitted_and_made_again(folder, run):
     assert np.abs(np.load("again/clean.npy").astype(int) - np.load("observed.npy")).max() <= 2
 
 
-def test_what_a_fit_of_waters_takes_for_known_is_given(folder, run, monkeypatch):
-    given = {}
+@pytest.mark.parametrize("quality", [None, 95, 75, 30, 20])
+def test_what_a_fit_of_waters_takes_for_known_is_given(folder, run, monkeypatch, quality):
+    given, wet = {}, "b.jpg" if quality else "b.png"
 
     def fit_water(*pictures, **options):
         given.update(options)
         raise ValueError("seen")
 
     monkeypatch.setattr("uwaug.fitting.fit_water", fit_water)
-    scene = ("--clean", "photos/a.png", "--observed", "photos/a.png", "--distance", "3")
+    Image.open("photos/b.png").save(wet, quality=quality)
+    scene = ("--clean", "photos/a.png", "--observed", wet, "--distance", "3")
     options = ("--camera", "mine.csv", "--g", ".1", "--mu", "0.02", "--focal-px", "300")
     assert "seen" in run("fit", *scene, "--out", "f.json", "--model", "waters", *options)[2]
     assert (given["camera"], given["g"], given["mu"]) == ("mine.csv", 0.1, 0.02)
     assert given["view"].focal_px == 300
+    assert given["jpeg"] == (quality and pytest.approx(quality, abs=1))
 
 
 def test_a_fit_leaves_out_what_it_is_told_to(folder, run):
@@ -675,14 +662,19 @@ def test_plain_pictures_have_nothing_random(folder, run):
     assert (sample["light"], sample["development"]) == ({}, camera)
 
 
-def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run):
+@pytest.mark.parametrize(
+    ("flags", "focal"), [(("--view", "75"), uwaug.View(75).focal(32)), (("--focal-px", "20"), 20.0)]
+)
+def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run, flags, focal):
     planar = torch.linspace(1, 4, 24 * 32).reshape(1, 24, 32)
     np.save("planar.npy", planar[0].numpy())
-    np.save("along.npy", uwaug.distance.along_ray(planar, uwaug.View(75).focal(32))[0].numpy())
-    line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--view", "75", "--distance")
-    assert run(*line, "planar.npy", "--set", "distance.planar=true", "--out", "a")[0] == 0
-    assert run(*line, "along.npy", "--out", "b")[0] == 0
-    assert run(*line, "planar.npy", "--out", "c")[0] == 0
+    np.save("along.npy", uwaug.distance.along_ray(planar, focal)[0].numpy())
+    line = ("degrade", "photos/a.png", "--plain", "--water", "3C", "--distance")
+    is_planar = ("planar.npy", "--set", "distance.planar=true", "--out")
+    assert run(*line, *is_planar, "a", *flags)[0] == 0
+    assert run(*line, "along.npy", "--out", "b", *flags)[0] == 0
+    assert run(*line, "planar.npy", "--out", "c", *flags)[0] == 0
+    assert "planar maps need the camera's view" in run(*line, *is_planar, "d")[2]
     made, wanted, flat = (np.array(Image.open(f"{n}/a.png")).astype(int) for n in "abc")
     assert np.abs(made - wanted).max() == 0
     assert np.abs(flat - wanted).max() > 5
@@ -695,21 +687,6 @@ def test_a_meter_that_is_switched_off_in_words(folder, run):
         assert (code, err) == (0, "")
         recipe = json.loads(Path(word, "a.png.json").read_text())["recipe"]
         assert recipe["transform"]["development"]["metered"] is False
-
-
-def test_the_view_of_the_camera(folder, run):
-    maps = ("--distance", "depth/a.png", "--unit", "mm", "--holes", "fill")
-    line = ("degrade", "photos/a.png", *maps, "--set", "distance.planar=true", "--out")
-    for name, flags in {"px": ("--focal-px", "40"), "narrow": ("--view", "20")}.items():
-        code, _, err = run(*line, name, *flags)
-        assert (code, err) == (0, "")
-    assert len({Path(name, "a.png").read_bytes() for name in ("px", "narrow")}) == 2
-    code, _, err = run(*line, "d")
-    assert (code, "planar maps need the camera's view" in err) == (1, True)
-    code, _, err = run(*line, "d", "--view", "20", "--focal-px", "40")
-    assert (code, "degrees and focal_px say the same" in err) == (2, True)
-    code, _, err = run(*line, "d", "--focal-px", "2.8")
-    assert "focal_px must be in px of the picture" in err
 
 
 def test_a_medium_of_coefficients_has_grades(folder, run):

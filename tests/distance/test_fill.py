@@ -168,12 +168,14 @@ def test_the_shadow_of_an_edge_is_as_far_as_what_is_behind() -> None:
     assert (fill_unknown(z) != truth).sum() > 200
 
 
-@pytest.mark.parametrize(("size", "gap"), [(4, 6), (8, 4), (8, 10), (12, 10)])
-def test_a_hole_is_filled_from_its_own_rim(size: int, gap: int) -> None:
+@pytest.mark.parametrize(
+    "size, gap, wide", [(4, 6, 8), (8, 4, 8), (8, 10, 8), (12, 10, 8), (5, 3, 3)]
+)
+def test_a_hole_is_filled_from_its_own_rim(size: int, gap: int, wide: int) -> None:
     """And not from that of a speck beside it, nor the speck from the shadow's."""
     z = torch.full((1, 100, 160), 10.0)
     z[:, 30:70, 40:80] = 1.0
-    z[:, 30:70, 80:88] = 0
+    z[:, 30:70, 80 : 80 + wide] = 0
     speck = slice(48, 48 + size), slice(80 - gap - size, 80 - gap)
     z[:, *speck] = 0
     filled = fill_unknown(z, behind=True)

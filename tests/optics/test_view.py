@@ -116,7 +116,7 @@ def test_degrees_and_px_are_one() -> None:
     focal = 80 / math.tan(math.radians(35))
     assert View(70.0).focal(160) == pytest.approx(focal)
     assert View(focal_px=focal).middle(SIZE) == (79.5, 47.5)
-    assert View(focal_px=focal).resized(0.5) == View(focal_px=focal / 2)
+    assert View(None, focal, (79.5, 47.5)).resized(0.5) == View(None, focal / 2, (39.5, 23.5))
     assert RandomUnderwater(view=70).view == Underwater(SHARP, view=70.0).view == View(70.0)
 
 

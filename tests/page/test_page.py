@@ -93,13 +93,14 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
     folder, scene = tmp_path_factory.mktemp("page"), motorcycle()
     write_picture(folder / "photo.png", (scene.image[:, ::5, ::5] * 255).byte())
     millimetres = (scene.distance[0, ::5, ::5] * 1000).round().numpy().astype(np.uint16)
+    millimetres[0] = 0  # the sky
     Image.fromarray(millimetres).save(folder / "depth.png")
     quiet = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking"]
     with pytest.MonkeyPatch.context() as patch, sync_playwright() as playwright:
         patch.chdir(folder)
         command("page --out bundled.html")
         assert Path("bundled.html").stat().st_size < 3.6e6  # small enough to mail
-        command("page --image photo.png --distance depth.png --unit mm --out page.html")
+        command("page --image photo.png --distance depth.png --unit mm --holes far --out page.html")
         browser = playwright.chromium.launch(executable_path=program, args=quiet)
         tab = browser.new_page(viewport={"width": 1300, "height": 900})
         yield Shown(tab, folder / "page.html")
@@ -240,9 +241,12 @@ def test_own_files(shown: Shown) -> None:
     assert "photo-scene.png --distance photo-scene.npy" in shown.code()
     command(shown.code().removeprefix("uwaug ") + " --force")
     assert (np.abs(shown.picture() - pixels("wet/photo-scene.png")) > 2).mean() < 1e-3
-    assert shown.take("depth.png") == ""  # the map of the picture before
+    assert "choose what the gaps get" in shown.take("depth.png")  # the map of the picture before
+    shown.tab.select_option("#holes", "far")
+    shown.wait()
     assert np.abs(shown.picture() - first).max() <= 1  # the page's own copy of the same
     metres = pixels("depth.png").astype(np.float32) / 1000
+    metres[metres == 0] = 99
     np.save("inverse.npy", 1 / metres)
     shown.tab.select_option("#holds", "inverse")
     assert shown.take("photo.png", "inverse.npy") == ""
@@ -252,7 +256,8 @@ def test_own_files(shown: Shown) -> None:
     metres[5, 5] = 0
     np.save("holes.npy", metres)
     np.save("small.npy", metres[9:])
-    Image.fromarray((25 * metres).astype(np.uint8)).save("grey.png")
+    shown.tab.select_option("#holes", "error")
+    Image.fromarray(metres.astype(np.uint8)).save("grey.png")
     Path("broken.png").write_bytes(b"\x89PNG no picture")
     for names, words in (
         (("broken.png",), "cannot be decoded"),

@@ -42,9 +42,9 @@ _NARROWEST_EXPONENTIAL_PX = 0.3  # the narrowest blur beside σ = 0
 _STEP_DB = 6  # to which shared plans round the error of grids and kernels
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BlurPlan:
-    """Plan of a spatially varying blur, made by `plan_blur`."""
+    """Plan of a spatially varying blur, made by `plan_blur`, once for each range."""
 
     sigma_min: float  # this and the next: range of widths, px; pixels outside get the nearer end
     sigma_max: float
@@ -54,9 +54,6 @@ class BlurPlan:
     reach: float  # kernels are cut at reach·σ
     error: float  # predicted RMSE over the range, on a picture with a standard deviation of 0.25
     shape: Shape = "gaussian"  # of the blur at a pixel
-
-    def __hash__(self) -> int:
-        return hash((self.sigma_min, self.sigma_max, self.sigmas, self.shape))
 
     def __str__(self) -> str:
         if self.sigmas == (0.0,):

@@ -26,7 +26,7 @@ from uwaug.optics.view import View
 
 _log = logging.getLogger(__name__)
 # what the loops compute, but no subclasses of it
-_CLASSES = {Development, Sensor, Light, Lamp, View, MarineSnow, type(None)}
+_CLASSES = {Development, Sensor, Light, Lamp, View, MarineSnow, str, tuple, type(None)}
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 
@@ -42,7 +42,8 @@ def can(image: Tensor, z: Tensor, setting: Setting) -> bool:
         return False
     medium, light, development = setting.medium, setting.light, setting.development
     lamps = () if light is None else getattr(light, "lamps", ())
-    parts = (development, development.noise, light, *lamps, setting.view, *medium.snow)
+    of_setting = (value for value in vars(setting).values() if value is not medium)
+    parts = (*of_setting, development.noise, *lamps, *medium.snow)
     if not set(map(type, parts)) <= _CLASSES or not _has_its_sums(medium):
         return False
     if Tensor in map(type, vars(development).values()):

@@ -97,7 +97,7 @@ def form(
         law = IN_PIXELS[medium.law.shape]
         plan = demand_of(brightest.brightened(gains), law, ends, tolerance).plan(size, shared=True)
     blurs = plan_table(plan, size)
-    widths = [places_table(weights.row(n), plan, ends) for n in range(len(waters))]
+    widths = [places_table(weights.row(n), plan, blurs.line, ends) for n in range(len(waters))]
     highest = np.full(batch, srgb, np.float32)
     if high > 1:
         highest *= torch.as_tensor(headroom(image)).float().flatten().numpy()
@@ -143,7 +143,7 @@ def _waters(
     for n in range(count):
         terms = terms_table(medium if count == 1 else medium[n], z.numpy())
         lamps = lamps_table(light, lit.row(n))
-        tables.append(WaterTable(medium_table(day.row(n)), terms, lamps))
+        tables.append(WaterTable(medium_table(day, n), terms, lamps))
     return tables
 
 
@@ -244,10 +244,10 @@ def _half(light: Floats, table: PlanTable) -> Floats:
     """The half picture, which coarse grids read; nothing if there are none."""
     if not table.coarse:
         return _NO_FLOATS
-    height, width = (-(-side // 2) for side in light.shape[-2:])
-    half = np.empty((3, height, width), np.float32)
+    _, height, width = light.shape
+    half = np.empty((3, (height + 1) // 2, (width + 1) // 2), np.float32)
     run = partial(kernels.halve, light, table.half_rows, table.half_columns, half)
-    _in_bands(run, range(height), 2 * light.shape[-1])
+    _in_bands(run, range(half.shape[1]), 2 * width)
     return half
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,6 +61,7 @@ class PlanTable(NamedTuple):
     half_rows: Indices  # in the picture, mirrored, from as many before the first as halving needs
     half_columns: Indices
     coarse: tuple[CoarseTable, ...]
+    line: tuple[float, float]  # slope and offset of places, see `place_line`
 
 
 class DistanceTable(NamedTuple):
@@ -135,28 +137,12 @@ class RaysTable(NamedTuple):
 
 # ------------------------------------------------------------------------------ plans
 
-_PLANS: Cache[PlanTable] = Cache(8 * 2**20)
 _GRIDS: Cache[CoarseTable] = Cache(32 * 2**20)  # 8 MiB or so for each size in random water
 
 
+@lru_cache(maxsize=128)  # default draws need 50 to 70 for each size, of 80 kB at 512²
 def plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     """The table of a plan for pictures of (height, width) `size`."""
-    table = _PLANS.get((plan, size))
-    if table is None:
-        table = _plan_table(plan, size)
-        # its grids are counted in `_GRIDS`
-        _PLANS.put((plan, size), table, _bytes(table.stack))
-    return table
-
-
-def _bytes(table: Any) -> int:
-    """Bytes of all arrays of a table and of those in it."""
-    if isinstance(table, tuple):
-        return sum(map(_bytes, table))
-    return int(getattr(table, "nbytes", 0))
-
-
-def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
     height, width = size
     order = sorted(range(len(plan.sigmas)), key=lambda k: (plan.cells[k] != 1, plan.sigmas[k] > 0))
     nodes = [Node(plan.sigmas[k], plan.cells[k], plan.reach) for k in order]
@@ -179,7 +165,7 @@ def _plan_table(plan: BlurPlan, size: Size) -> PlanTable:
         back=np.array([grid.row_back for grid in grids], np.float32).reshape(-1, height, 4),
     )
     rows, columns = (_mirrored(len(HALVING) // 2, 2 * side) for side in size)
-    return PlanTable(stack, rows, columns, tuple(grids))
+    return PlanTable(stack, rows, columns, tuple(grids), place_line(plan))
 
 
 def _grid(node: Node, size: Size) -> CoarseTable:
@@ -189,7 +175,7 @@ def _grid(node: Node, size: Size) -> CoarseTable:
         rows, _, first, down = _shrinking(node, size[0])
         backs = (*_rows_of("enlarge", node, size[1]), *_rows_of("enlarge", node, size[0]))
         grid = CoarseTable(rows, first, down, *_shrinking(node, size[1]), *backs)
-        _GRIDS.put((node, size), grid, _bytes(grid))
+        _GRIDS.put((node, size), grid, sum(np.asarray(value).nbytes for value in grid))
     return grid
 
 
@@ -246,18 +232,20 @@ _AT_LENS = torch.zeros(1, 1, 1, 1)
 _MIN_DISTANCE = 1e-6  # m, and share of the farthest distance: stands for 0, which has no logarithm
 
 
-def medium_table(row: Weights) -> MediumTable:
-    """The table of a medium of one row."""
-    beta, direct, G, signal, veil = [values[0].astype(np.float32) for values in row[:5]]
+def medium_table(media: Weights, n: int) -> MediumTable:
+    """The table of one of several media."""
+    beta, direct, G, signal, veil = [values[n].astype(np.float32) for values in media[:5]]
     rates = np.concatenate((beta, G)) * np.float32(-math.log2(math.e))
     return MediumTable(rates, direct, signal, -veil)
 
 
-def places_table(row: Weights, plan: BlurPlan, ends: tuple[float, float]) -> DistanceTable:
+def places_table(
+    row: Weights, plan: BlurPlan, line: tuple[float, float], ends: tuple[float, float]
+) -> DistanceTable:
     """Places (−1…1) of the blur's widths, px, in a plan; without entries if it has one width."""
     if len(plan.sigmas) == 1:
         return _NOTHING
-    slope, offset = place_line(plan)
+    slope, offset = line
 
     def places(z: Array) -> Array:
         x = row.widths(z) / V_FLOOR

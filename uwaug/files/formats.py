@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uwaug.files.coco import Coco
-from uwaug.files.labels import Labels
+from uwaug.files.labels import Labels, PerPicture
 from uwaug.files.masks import Masks
 from uwaug.files.yolo import Yolo
 
@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from uwaug.files.table import Row
 
 FORMATS: tuple[type[Labels], ...] = (Coco, Yolo, Masks)
-ENDINGS = Yolo.endings + Masks.endings  # of files that are of one picture each
-SHARED = Coco.endings  # of files that are of many
+# of files that are of one picture each, and of those that are of many
+ENDINGS = sum((each.endings for each in FORMATS if issubclass(each, PerPicture)), ())
+SHARED = sum((each.endings for each in FORMATS if not issubclass(each, PerPicture)), ())
 
 
 def formats() -> str:

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from uwaug._support import checks
-from uwaug._support.cache import Cache
 
 
 def gaussian_random_field(
@@ -90,11 +90,14 @@ def field_of(
     """Fields (Bx1xHxW) of white noise (Bxnxn, n odd). Index i of its last two axes stands for
     (i + 1)//2 cycles per torus, as a sine if i is odd, else a cosine.
     """
-    waves = _waves(noise, height, width, exponent)
+    count = noise.shape[-1]
+    is_kept = type(noise) is Tensor and count <= _FEW and not torch.compiler.is_compiling()
+    make = _kept_waves if is_kept else _waves
+    waves = make(height, width, exponent, count, noise.dtype, noise.device)
     amplitudes = noise * waves.amplitude
     fields = still = (waves.down @ amplitudes @ waves.across)[:, None]
     if any(map(any, moved)):
-        sizes = max(height, width), noise, noise.shape[-1]
+        sizes = max(height, width), count, noise
         across = torch.stack([_cosines(width, *sizes, right) for right, _ in moved])
         down = torch.stack([_cosines(height, *sizes, px) for _, px in moved])
         fields = (down @ amplitudes @ across.mT)[:, None]
@@ -123,36 +126,31 @@ class _Waves(NamedTuple):
     across: Tensor
 
 
-_CACHE: Cache[_Waves] = Cache(4 * 2**20)  # to make waves takes as long as a field of 256²
+_FEW = 100  # waves of smooth fields, which take as long to make as a field of 256²
 
 
-def _waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
-    """Waves for noise, by its type and last size, from the cache where that is possible."""
-    if type(noise) is not Tensor or torch.compiler.is_compiling():
-        return _unit_waves(noise, height, width, exponent)
-    key = (height, width, exponent, noise.shape[-1], noise.dtype, noise.device)
-    waves = _CACHE.get(key)
-    if waves is None:
-        # tensors of inference mode cannot be used outside
-        with torch.inference_mode(False), torch.no_grad():
-            waves = _unit_waves(noise.new_empty(noise.shape[-1]), height, width, exponent)
-        _CACHE.put(key, waves, sum(t.numel() * t.element_size() for t in waves))
-    return waves
+@lru_cache(maxsize=16)
+def _kept_waves(*key: Any) -> _Waves:
+    # tensors of inference mode cannot be used outside
+    with torch.inference_mode(False), torch.no_grad():
+        return _waves(*key)
 
 
-def _unit_waves(noise: Tensor, height: int, width: int, exponent: float) -> _Waves:
-    count, longest = noise.shape[-1], max(height, width)
-    cycles = ((torch.arange(count, dtype=noise.dtype, device=noise.device) + 1) / 2).floor()
+def _waves(
+    height: int, width: int, exponent: float, count: int, dtype: torch.dtype, device: torch.device
+) -> _Waves:
+    index = torch.arange(count, dtype=dtype, device=device)
+    cycles, longest = ((index + 1) / 2).floor(), max(height, width)
     square = cycles**2 + cycles[:, None] ** 2
     square[0, 0] = math.inf  # no constant term: the affine map would take it out again
     # the constant in x or y stands for one wave, all others for two: k and −k
     twofold = (1 + cycles.clamp(max=1)).sqrt()
     amplitude = square ** (-exponent / 4) * twofold * twofold[:, None]
-    down, across = (_cosines(side, longest, noise, count) for side in (height, width))
+    down, across = (_cosines(side, longest, count, index) for side in (height, width))
     return _Waves(down, amplitude, across.mT)
 
 
-def _cosines(side: int, longest: int, like: Tensor, count: int, moved: float = 0.0) -> Tensor:
+def _cosines(side: int, longest: int, count: int, like: Tensor, moved: float = 0.0) -> Tensor:
     """Waves (side, count) at pixel centres, with 0 in the middle, moved by so many px."""
     pixel, index = (torch.arange(n, dtype=like.dtype, device=like.device) for n in (side, count))
     cycles, phase = ((index + 1) / 2).floor(), index % 2 * (math.pi / 2)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from uwaug._support import checks
-from uwaug._support.codec import from_plain
+from uwaug._support.codec import changed, from_plain
 from uwaug._support.types import ColorSpace
 from uwaug.blur.plan import BlurPlan
 from uwaug.formation.colour import LUMINANCE
@@ -123,16 +123,8 @@ class Underwater(nn.Module):
         sides: tuple[int, int] | None = None,
     ) -> "Underwater":
         """The module of a setting; further arguments as of the class."""
-        return Underwater(
-            setting.medium,
-            distance_range,
-            tolerance,
-            setting.color_space,
-            sides=sides,
-            development=setting.development,
-            light=setting.light,
-            view=setting.view,
-        )
+        options: Any = {name: getattr(setting, name) for name in _OF_SETTING}
+        return Underwater(setting.medium, distance_range, tolerance, sides=sides, **options)
 
     @property
     def setting(self) -> Setting:
@@ -263,7 +255,7 @@ class Underwater(nn.Module):
         blur = f"distance_range={self.distance_range}, sides={self.sides}"
         if self.distance_range is not None:
             blur += f", at 512 px {self.plan((512, 512))}"
-        pairs = (self.development, NEUTRAL), (self.light, None), (self.view, WIDE)
-        options = "".join(f", {value!r}" for value, default in pairs if value != default)
+        names = [f.name for f in changed(self.setting) if f.name not in ("medium", "color_space")]
+        options = "".join(f", {getattr(self, name)!r}" for name in names)
         settings = f"tolerance={self.tolerance:g}, {self.color_space}{options}"
         return f"{self.medium!r},\n{blur},\n{settings}"

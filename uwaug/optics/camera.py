@@ -3,7 +3,7 @@
 import os
 import re
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -106,7 +106,6 @@ def load_camera(camera: "str | os.PathLike[str] | Camera") -> Camera:
     raise ValueError(f"camera must be one of {', '.join(_NAMES)}, or a .csv file; got {camera!r}")
 
 
-@lru_cache(maxsize=16)
 def response_at(camera: Camera, axis: bytes) -> Array:
     """Weights (3, N) of a camera at wavelengths, given as an array's bytes; rows sum to 1."""
     return np.ascontiguousarray(camera.weights(np.frombuffer(axis)).T)
@@ -117,7 +116,6 @@ def response_at(camera: Camera, axis: bytes) -> Array:
 _MIN_COVERED_SHARE = 0.7
 
 
-@lru_cache(maxsize=16)
 def require_covered(camera: Camera, low: float, high: float) -> None:
     """Refuse a range of wavelengths, nm, that misses most of a channel's response."""
     inside = (low <= WAVELENGTHS) & (high >= WAVELENGTHS)

@@ -30,7 +30,7 @@ from uwaug.transforms.samples import (
     take_apart,
     uncompiled,
 )
-from uwaug.transforms.scenes import Scenes, scenes_of
+from uwaug.transforms.scenes import Scenes, scene_of, scenes_of
 
 SEVERITIES = {1: MILDEST, 2: 0.5, 3: 0.35, 4: 0.2, 5: 0.08}
 """Contrast at the scene's median distance, by grade of severity."""
@@ -171,18 +171,10 @@ class RandomUnderwater(SampleTransform):
         thin, dense = self.water.field or (1.0, 1.0)
         low, high = nearest * thin, farthest * dense
         draw = Draw(**self._sample(Uniform(bytes(8))))
-        light = self._nouns["light"].of(draw.light, measured)
-        water, _ = self.water.water(draw.water, farthest)
-        medium, *_ = self.water.of(water, draw.water, measured, light, self.view)
-        return Underwater(
-            medium,
-            distance_range or (low, max(high, 1.01 * low)),  # of a plane, too
-            color_space=self.development.color_space,
-            sides=sides,
-            development=self.development.of(draw.development, measured),
-            light=light,
-            view=self.view,
-        )
+        water = self.water.water(draw.water, farthest)
+        setting = scene_of(draw, water, measured, measured, self._nouns, self.view).setting
+        distance_range = distance_range or (low, max(high, 1.01 * low))  # of a plane, too
+        return Underwater.of(setting, distance_range, sides=sides)
 
     def to_dict(self) -> dict[str, Any]:
         """The options that differ from the defaults, as JSON, YAML and TOML hold them; "none" for

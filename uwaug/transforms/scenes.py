@@ -19,7 +19,7 @@ from uwaug.distance.sources import Metres, Source
 from uwaug.distance.unknown import FARTHEST_SEEN
 from uwaug.formation.colour import decoded, linear_to_srgb, require_values
 from uwaug.formation.contrast import FAINT, contrast_left, metres_for
-from uwaug.formation.each import form_each
+from uwaug.formation.image import form_each
 from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.medium import Medium
@@ -165,14 +165,14 @@ def scenes_of(
                 film = measured.of_film(draw.measured, draw.passed) if is_film else measured
                 of_films.append(film)
                 drawn = waters[n] if waters else water.water(draw.water, film.median)
-                scenes.append(_scene(draw, drawn, measured, film, nouns, view))
+                scenes.append(scene_of(draw, drawn, measured, film, nouns, view))
         metres = metres.double() if pictures.dtype == torch.float64 else metres
         metres = metres.clamp(max=FARTHEST)
         z = metres * water.fields(applied, of_films, metres, view)
     return Scenes(image, pictures, chosen, z, metres, scenes)
 
 
-def _scene(
+def scene_of(
     draw: Draw,
     drawn: tuple[Water | Medium, float],
     measured: Measured,
