@@ -264,3 +264,19 @@ def test_compiles_for_every_size() -> None:
     for size in ((32, 40, 1), (48, 56, 1), (7, 9, 3)):
         image, z = picture(*size), distances(*size)
         close(compiled(image, z), degrade(image, z), 2e-5)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.filterwarnings("ignore:.torch.jit.script:DeprecationWarning")  # forward, by torch
+def test_torch_func_differentiates_as_autograd_does(dtype: torch.dtype) -> None:
+    degrade = Underwater(Medium.from_water("9C"))
+    image = torch.rand(1, 3, 20, 30, dtype=dtype)
+    z = torch.linspace(1, 4, 30, dtype=dtype).repeat(1, 1, 20, 1)
+
+    def patch(image: Tensor, z: Tensor) -> Tensor:
+        return degrade(image, z)[0, :, ::9, ::15].flatten()
+
+    for argument in (0, 1):
+        expected = torch.autograd.functional.jacobian(patch, (image, z))[argument]
+        for jacobian in (torch.func.jacrev, torch.func.jacfwd):
+            assert (jacobian(patch, argument)(image, z) - expected).abs().max() < 1e-5

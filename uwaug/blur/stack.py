@@ -1,6 +1,7 @@
 """Execution of a plan: the stack of fixed blurs, and the mixture of them at each pixel."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -112,6 +113,36 @@ def _node_blur_backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]
 _node_blur.register_autograd(_node_blur_backward, setup_context=_remember)
 
 
+class _Blur(torch.autograd.Function):
+    """`_node_blur` for torch.func, which differentiates no operators of ours."""
+
+    @staticmethod
+    def forward(x: Tensor, *arguments: Any) -> Any:
+        blur: Tensor = _node_blur(x, *arguments)
+        return blur
+
+    setup_context = staticmethod(_remember)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        *arguments, adjoint = ctx.arguments
+        return _applied(gradient, *arguments, not adjoint), *[None] * 6
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor, *_: None) -> Tensor:
+        return _applied(tangent, *ctx.arguments)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: Any, x: Tensor, *arguments: Any) -> tuple[Tensor, int]:
+        x = x.movedim(in_dims[0], 1)
+        h, batch, n, w = x.shape
+        result = _applied(x.reshape(h, -1, w), *arguments)
+        return result.reshape(len(result), batch, n, -1), 1
+
+
+_applied: Callable[..., Tensor] = _Blur.apply
+
+
 def _products(x: Tensor, node: Node, size: tuple[int, int], adjoint: bool) -> Tensor:
     """Apply the matrices of one blur of a stack, in the order of the fewest operations."""
     order: list[tuple[int, Kind]] = [(0, "blur"), (1, "blur")]
@@ -132,12 +163,13 @@ def _products(x: Tensor, node: Node, size: tuple[int, int], adjoint: bool) -> Te
 def blurred(image: Tensor, plan: BlurPlan) -> list[Tensor]:
     """Blurs of a batch by a plan: K tensors like `image` (BxCxHxW), differentiable."""
     b, c, h, w = image.shape
+    of_node = _applied if torch._C._are_functorch_transforms_active() else _node_blur
     x = half = image.permute(2, 0, 1, 3).reshape(h, b * c, w)
     if max(plan.cells) > 1:
-        half = _node_blur(x, h, w, *HALF, False)
+        half = of_node(x, h, w, *HALF, False)
     stack = []
     for sigma, cell in zip(plan.sigmas, plan.cells, strict=True):
         source = x if cell == 1 else half
-        blur = _node_blur(source, h, w, sigma, cell, plan.reach, False) if sigma > 0 else x
+        blur = of_node(source, h, w, sigma, cell, plan.reach, False) if sigma > 0 else x
         stack.append(blur.reshape(h, b, c, w).permute(1, 2, 0, 3))
     return stack

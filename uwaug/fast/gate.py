@@ -36,6 +36,8 @@ def can(image: Tensor, z: Tensor, setting: Setting) -> bool:
     """
     if torch.compiler.is_compiling() or not (wanted() and _has_numba()):
         return False
+    if torch._C._are_functorch_transforms_active():
+        return False
     if z.dtype != torch.float32 or torch.jit.is_tracing():  # type: ignore[attr-defined, no-untyped-call]
         return False
     medium, light, development = setting.medium, setting.light, setting.development

@@ -173,15 +173,25 @@ def _piecewise(kernel: _Kernel, *inputs: Tensor) -> Tensor:
 class _Curve(torch.autograd.Function):
     """A curve whose slope is a function of its input."""
 
+    generate_vmap_rule = True  # for torch.func
+
     @staticmethod
-    def forward(ctx: Any, x: Tensor, value: _Kernel, slope: _Kernel) -> Tensor:
-        ctx.slope = slope
-        ctx.save_for_backward(x)
+    def forward(x: Tensor, value: _Kernel, slope: _Kernel) -> Tensor:
         return _piecewise(value, x)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, _Kernel, _Kernel], output: Tensor) -> None:
+        x, _, ctx.slope = inputs
+        ctx.save_for_backward(x)
+        ctx.save_for_forward(x)
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
         return _piecewise(ctx.slope, *ctx.saved_tensors, grad), None, None
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor, *_: None) -> Tensor:
+        return _piecewise(ctx.slope, *ctx.saved_tensors, tangent)
 
 
 def _apply(x: Tensor, traced: _Kernel, value: _Kernel, slope: _Kernel) -> Tensor:
