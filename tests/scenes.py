@@ -7,6 +7,7 @@ import torch
 from referees import reference
 from torch import Tensor
 
+from uwaug.blur.plan import BlurPlan
 from uwaug.blur.stack import varying_blur
 from uwaug.optics.medium import Medium
 from uwaug.optics.point_spread import PointSpread
@@ -92,7 +93,7 @@ def errors(medium: Medium, water: Water, z: np.ndarray = Z, **numbers: float) ->
     return found
 
 
-def constant(image: Tensor, sigma: float, **options: object) -> Tensor:
+def constant(image: Tensor, sigma: float, plan: BlurPlan) -> Tensor:
     """Every pixel under the same width."""
     widths = image.new_full((len(image), 1, *image.shape[-2:]), sigma)
-    return varying_blur(image, widths, **options)
+    return varying_blur(image, widths, plan)

@@ -31,7 +31,7 @@ VALUES = {
     "contents": Constituents(chlorophyll=(1, 5), cdom=0.3),
     "water": Water.jerlov("5C").with_contrast(0.2, 3),
     "camera": load_camera("Sigma SDMerill (NPL)"),
-    "camera with a matrix": Camera([400, 700], [[0, 1, 1], [1, 1, 0]], "on", np.eye(3) + 0.1),
+    "camera of one's own": Camera([400, 700], [[0, 1, 1], [1, 1, 0]], "on"),
     "all at once": ("a", (1, 2.5, None, True), PointSpread(2.0)),
 }
 

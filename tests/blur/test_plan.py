@@ -31,7 +31,7 @@ def test_error_on_a_picture_is_the_predicted_one(shape, low, high, shared) -> No
         squares = []
         for sigma in np.geomspace(max(low, 0.2), high, 7):
             exact = getattr(reference, shape)(image, sigma)
-            result = constant(single, float(sigma), plan=plan)[0]
+            result = constant(single, float(sigma), plan)[0]
             squares.append(float(((result.double().numpy() - exact) ** 2).mean()))
         assert math.sqrt(np.mean(squares)) <= tolerance, f"{plan}: {np.sqrt(squares)}"
         assert math.sqrt(max(squares)) <= 2.5 * tolerance
@@ -96,7 +96,7 @@ def test_the_tolerance_holds_at_limits(size, low, high, tolerance, shape) -> Non
     image = reference.picture(*size)
     plan = plan_blur(low, high, tolerance, shape, max(size))
     for sigma in {low, math.sqrt(low * high), high}:
-        result = constant(torch.from_numpy(image)[None], sigma, plan=plan)[0].numpy()
+        result = constant(torch.from_numpy(image)[None], sigma, plan)[0].numpy()
         error = result - getattr(reference, shape)(image, sigma)
         assert math.sqrt((error**2).mean()) <= tolerance
 

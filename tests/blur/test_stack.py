@@ -10,7 +10,7 @@ from scenes import SIZES, constant, rand
 from uwaug import Medium, PointSpread, form_image
 from uwaug.blur import banded
 from uwaug.blur.banded import Node, along_columns, along_rows, operator
-from uwaug.blur.plan import BlurPlan, plan_blur
+from uwaug.blur.plan import NO_BLUR, BlurPlan, plan_blur
 from uwaug.blur.stack import varying_blur
 
 RANGES = [(0.9, 4.5), (0.75, 15.0), (2.0, 60.0)]
@@ -38,7 +38,7 @@ def test_one_width_for_the_whole_image(shape, sigma) -> None:
     image = reference.picture(60, 80)
     exact = getattr(reference, shape)(image, sigma)
     x = torch.from_numpy(image)[None]
-    result = constant(x, sigma, plan=plan_blur(sigma, sigma, 0.002, shape))
+    result = constant(x, sigma, plan_blur(sigma, sigma, 0.002, shape))
     assert reference.psnr(result[0], exact) >= 54
     # the same through a medium, whose widths happen to be a single number
     law = PointSpread(sigma, 1.0, shape)
@@ -51,7 +51,7 @@ def test_a_narrow_blur_has_the_variance_asked_for(sigma) -> None:
     # a sampled Gaussian of σ = .5 px has a variance of .215, one of .3 px hardly any
     impulse = torch.zeros(1, 1, 41, 41, dtype=torch.float64)
     impulse[..., 20, 20] = 1
-    spread = constant(impulse, sigma, plan=plan_blur(0.0, 2.0, 0.0005))[0, 0]
+    spread = constant(impulse, sigma, plan_blur(0.0, 2.0, 0.0005))[0, 0]
     offsets = torch.arange(-20.0, 21.0, dtype=torch.float64)
     assert float(spread.sum()) == pytest.approx(1, abs=1e-3)
     for axis in (0, 1):
@@ -73,11 +73,11 @@ def test_small_and_odd_sizes(size, sigma) -> None:
     image = reference.picture(*size)
     exact = reference.gaussian(image, sigma)
     x = torch.from_numpy(image)[None]
-    result = constant(x, sigma, tolerance=0.0005)[0]
+    result = constant(x, sigma, plan_blur(sigma, sigma, 0.0005))[0]
     assert np.abs(result.numpy() - exact).max() < 0.004
     if 1 < sigma < 10:  # on the image's grid
         plan = BlurPlan(sigma, sigma, (sigma,), (1.0,), ((1.0,),), reach=8.0, error=1e-3)
-        np.testing.assert_allclose(constant(x, sigma, plan=plan)[0], exact, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(constant(x, sigma, plan)[0], exact, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("low, high", [*RANGES, (0.0, 3.0)])
@@ -130,11 +130,12 @@ WRONG = [
 @pytest.mark.parametrize("image, sigma, error, match", WRONG)
 def test_varying_blur_refuses(image, sigma, error, match) -> None:
     with pytest.raises(error, match=match):
-        varying_blur(image, sigma)
+        varying_blur(image, sigma, NO_BLUR)
 
 
 def test_varying_blur_of_an_empty_batch() -> None:
-    assert varying_blur(torch.rand(0, 3, 6, 8), torch.rand(0, 1, 6, 8)).shape == (0, 3, 6, 8)
+    nothing = varying_blur(IMAGE[:0], SIGMA[:0], NO_BLUR)
+    assert nothing.shape == (0, 3, 6, 8)
 
 
 # ---- the matrices

@@ -89,7 +89,7 @@ def test_veil_and_coefficients_from_water(name: str, tolerance: float) -> None:
     p = case.parameters
     water = Water(WAVELENGTHS, p["a"], p["b"], p["Kd"])
     # of the 61 bands, the camera sees those seven
-    seen = np.isin(BANDS, WAVELENGTHS)[:, None] * load_camera(p["camera"]).at(BANDS)
+    seen = np.isin(BANDS, WAVELENGTHS)[:, None] * load_camera(p["camera"]).weights(BANDS)
     options = {"g": p["g"], "mu": p["mu"], "tolerance": tolerance, "camera": Camera(BANDS, seen)}
     medium = Medium.from_water(water, vertical_depth=p["vertical_depth_m"], **options)
     veil = form_image(case.image, case.veil_distance, medium).backscatter

@@ -32,15 +32,10 @@ def test_copies_are_equal_and_still_read_only():
         assert not any(array.flags.writeable for array in (twin.wavelengths, twin.response))
 
 
-def test_at_interpolates_and_is_dark_outside():
-    response = toy().at([300, 399.9, 400, 450, 600, 700, 700.1])
-    expected = [[0, 0, 0], [0, 0, 0], [0, 1, 2], [0, 2, 1], [2, 2, 0], [4, 1, 0], [0, 0, 0]]
-    np.testing.assert_allclose(response, expected, rtol=1e-15)
-
-
-def test_weights_on_a_grid_of_varying_step_are_rectangles():
-    grid = [420, 440, 500, 600]
-    samples, widths = toy().at(grid), np.array([20, 40, 80, 100])
+def test_weights_are_rectangles_of_responses_between_and_dark_outside():
+    grid = [300, 400, 450, 600, 700, 700.5]
+    samples = np.array([[0, 0, 0], [0, 1, 2], [0, 2, 1], [2, 2, 0], [4, 1, 0], [0, 0, 0]])
+    widths = np.array([100, 75, 100, 125, 50.25, 0.5])
     areas = samples * widths[:, None]
     np.testing.assert_allclose(toy().weights(grid), areas / areas.sum(axis=0), rtol=1e-14)
     single = Camera([500, 600], [[1, 2, 3], [3, 2, 1]]).weights([550])

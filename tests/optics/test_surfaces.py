@@ -1,6 +1,5 @@
 """Surfaces with spectra: media of 3×3 weights against sums over 61 bands."""
 
-import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -10,22 +9,16 @@ import torch
 from referees import reference, spectral
 from referees.spectral import NIKON, SIGMA
 
-from uwaug import JERLOV_TYPES, Camera, Medium, Water, form_image, load_camera
+from uwaug import JERLOV_TYPES, Camera, Medium, Water, form_image
 from uwaug.optics.surfaces import reflectances
 
 Z = np.concatenate([[0.0], np.geomspace(1e-3, 30, 160)])
 SCATTERING = {"g": 0.2, "mu": 0.3}
-OWN = [[1.9, -0.7, -0.2], [-0.3, 1.6, -0.3], [0.1, -0.8, 1.7]]  # as a DNG file may have it
 
 
 def medium_of(water: str | Water = "3C", **options: Any) -> Medium:
     known = {"surfaces": "spectral", "vertical_depth": 0.0, **SCATTERING}
     return Medium.from_water(water, **{**known, **options})
-
-
-def camera_of(own: Any = None) -> Camera:
-    nikon = load_camera(NIKON)
-    return Camera(nikon.wavelengths, nikon.response, "own", own)
 
 
 def three_by_three(values: np.ndarray) -> np.ndarray:
@@ -52,12 +45,12 @@ def test_the_basis_is_that_of_colour_science() -> None:
     np.testing.assert_allclose(between, basis[:, 10:12].mean(1), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("share, own", [(0.5, None), (1.0, OWN)])
-def test_air_changes_nothing(share: float, own: Any) -> None:
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_air_changes_nothing(share: float) -> None:
     air = torch.zeros(1, 1, 6, 7, dtype=torch.float64)
     image = torch.from_numpy(reference.picture(6, 7))[None]
     for tolerance in (0.002, 0.0):
-        medium = medium_of(camera=camera_of(own), color_matrix=share, tolerance=tolerance)
+        medium = medium_of(color_matrix=share, tolerance=tolerance)
         seen = form_image(image, air, medium).image
         torch.testing.assert_close(seen, image, rtol=0, atol=1e-6)  # the basis sums to 1 ± 3e-8
 
@@ -75,11 +68,11 @@ def test_curves_are_those_of_the_bands(water: str) -> None:
         assert max(errors(every_band, exact)) <= (1e-8 if every_band.is_spectral else 0.002)
 
 
-@pytest.mark.parametrize("share, own", [(0.0, None), (0.5, None), (0.5, OWN), (1.0, OWN)])
-def test_a_share_of_the_matrix(share: float, own: Any) -> None:
-    eye = spectral.eye(NIKON, share, own)
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_share_of_the_matrix(share: float) -> None:
+    eye = spectral.eye(NIKON, share)
     exact = spectral.curves(spectral.bands_of(Water.jerlov("1C"), depth=4.0, **SCATTERING), Z, eye)
-    options = {"camera": camera_of(own), "color_matrix": share, "vertical_depth": 4.0}
+    options = {"color_matrix": share, "vertical_depth": 4.0}
     assert max(errors(medium_of("1C", **options), exact)) <= 0.002 * 1.02
     assert max(errors(medium_of("1C", tolerance=0, **options), exact)) <= 1e-8
 
@@ -91,17 +84,6 @@ def test_three_numbers_serve_where_channels_do_not_mix() -> None:
     exact = spectral.curves(spectral.bands_of(grey, depth=3.0, **SCATTERING), Z, spectral.eye())
     assert max(errors(medium, exact)) <= 0.002
     assert medium_of("3C").is_spectral
-
-
-def test_a_cameras_matrix_is_part_of_it() -> None:
-    scaled = camera_of(2 * np.array(OWN))
-    np.testing.assert_allclose(scaled.color_matrix, camera_of(OWN).color_matrix, rtol=1e-14)
-    assert not scaled.color_matrix.flags.writeable
-    assert camera_of(OWN) != camera_of()
-    rng = np.random.default_rng(0)
-    for matrix in np.eye(3) + 0.1 * rng.standard_normal((20, 3, 3)):
-        camera = camera_of(matrix)
-        assert pickle.loads(pickle.dumps(camera)) == camera
 
 
 def test_grey_stacks_with_spectral() -> None:
@@ -125,10 +107,6 @@ COARSE = Water.jerlov("3C").at(np.arange(400.0, 651.0, 25.0))
 @pytest.mark.parametrize(
     "call, words",
     [
-        (lambda: camera_of(np.eye(2)), "color_matrix must be"),
-        (lambda: camera_of(np.ones((3, 3))), "color_matrix must be"),
-        (lambda: camera_of(-np.eye(3)), "color_matrix must be"),
-        (lambda: camera_of(np.full((3, 3), np.nan)), "color_matrix must be"),
         (lambda: medium_of(COARSE.at(COARSE.wavelengths[:-2])), "400–600 nm, 49% of what red"),
         (lambda: Medium.from_water(COARSE.at(COARSE.wavelengths[:-2])), "49% of what red"),
         (

@@ -4,7 +4,7 @@ and what a camera and its colour matrix make of the sum.
 Of uwaug it takes only a water's spectra. Reflectances and cameras are those of colour-science.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,18 +36,15 @@ class Eye(NamedTuple):
     basis: Array
 
 
-def eye(name: str = NIKON, share: float = 1.0, own: Any = None) -> Eye:
-    """A camera with a share of its colour matrix: `own`, or the one that is right for the basis."""
+def eye(name: str = NIKON, share: float = 1.0) -> Eye:
+    """A camera with a share of the colour matrix that is right for the basis."""
     table = colour.MSDS_CAMERA_SENSITIVITIES[name]
     columns = table.values.T
     response = [np.interp(BANDS, table.wavelengths, x, left=0, right=0) for x in columns]
     sensor = np.array([channel / channel.sum() for channel in response])
     basis = BASIS
     raw = np.array([[(channel * reflects).sum() for reflects in basis] for channel in sensor])
-    full = np.linalg.inv(raw)
-    if own is not None:
-        full = np.array([np.divide(row, sum(row)) for row in own])
-    matrix = (1 - share) * np.eye(3) + share * full
+    matrix = (1 - share) * np.eye(3) + share * np.linalg.inv(raw)
     # the colour that the basis needs so that the camera shows R, G or B
     needed = np.linalg.inv(matrix @ raw)
     return Eye(sensor, matrix, needed.T @ basis)

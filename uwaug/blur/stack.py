@@ -9,19 +9,16 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.blur.banded import HALF, Kind, Node, along_columns, along_rows, operator
-from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line, plan_blur
+from uwaug.blur.plan import V_FLOOR, BlurPlan, place_line
 
 
-def varying_blur(
-    image: Tensor, sigma: Tensor, plan: BlurPlan | None = None, tolerance: float = 0.002
-) -> Tensor:
+def varying_blur(image: Tensor, sigma: Tensor, plan: BlurPlan) -> Tensor:
     """Blur every pixel with a Gaussian of its own width; edges are half-sample symmetric.
 
     Args:
         image (BxCxHxW tensor): floating point, any scale; half precision is computed in float32.
         sigma (Bx1xHxW tensor): widths, px, finite, ≥ 0.
-        plan: from `plan_blur`; by default one for the range of `sigma`.
-        tolerance: of that plan, see `plan_blur`.
+        plan: from `plan_blur`; widths outside of its range get the nearer end.
 
     Returns:
         (BxCxHxW) tensor of the image's dtype, differentiable in both.
@@ -35,10 +32,7 @@ def varying_blur(
     dtype = torch.promote_types(torch.promote_types(image.dtype, sigma.dtype), torch.float32)
     with checks.full_precision(image):
         widths = sigma.to(dtype)
-        if plan is None:
-            plan = plan_blur(*checks.extent(widths), tolerance)
-        stack = blurred(image.to(dtype), plan)
-        return mixed(stack, node_weights(widths, plan)).to(image.dtype)
+        return mixed(blurred(image.to(dtype), plan), node_weights(widths, plan)).to(image.dtype)
 
 
 def _validate(image: Tensor, sigma: Tensor) -> None:

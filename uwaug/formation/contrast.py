@@ -6,7 +6,7 @@ A surface of mean light ρ with a pattern on it, ρ·(1 + m·cos …), is seen t
 
 where B is the veil. Light that was scattered forward (T_G − T_β) keeps the mean and blurs the
 pattern away. The modulation falls from m to m·T_β·ρ/(T_G·ρ + B), and `contrast_left` is their
-ratio in luminance. The gain of an exposure cancels.
+ratio in luminance, for the grey of photography. The gain of an exposure cancels.
 
 That holds for patterns finer than the blur, such as the texture and the edges of an object. Coarser
 ones keep more, up to T_G·ρ/(T_G·ρ + B): this is a lower bound.
@@ -20,6 +20,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug.formation.colour import LUMINANCE
+from uwaug.formation.development import MID_GREY
 from uwaug.formation.inputs import agree
 from uwaug.formation.setting import Setting
 from uwaug.light import Light
@@ -37,30 +38,26 @@ def contrast_left(
     distance: Tensor,
     medium: Medium,
     *,
-    reflectance: float | Tensor = 0.18,
     light: Light | None = None,
     metres: Tensor | None = None,
     view: View = WIDE,
 ) -> Tensor:
-    """Share of the contrast of fine detail that water leaves at each pixel: Michelson's, of
+    """Share of the contrast of fine detail on grey that water leaves at each pixel: Michelson's, of
     luminance, (lightest − darkest) / (lightest + darkest).
 
     Args:
         distance (1xHxW or Bx1xHxW tensor): metres along the ray, ≥ 0; +inf is open water. In uneven
             water, times the medium field.
         medium: one row, or as many as maps.
-        reflectance: mean light of the object, 1 = white plate at the surface; by default the grey
-            of photography. A number, or a tensor that broadcasts with (B, 3, H, W), such as the
-            scene's own linear light.
         light, view: as of `uwaug.form_image`.
         metres (as distance): distance without the field, for lamps in uneven water.
 
     Returns:
         1xHxW if distance has no batch, and medium one row, else Bx1xHxW; of distance's type. 1 at
-        the lens, 0 in open water, and where the object is black or no light falls.
+        the lens, 0 in open water, and where no light falls.
 
     Raises:
-        TypeError, ValueError: as `uwaug.form_image`, and where a reflectance is none.
+        TypeError, ValueError: as `uwaug.form_image`.
 
     Examples:
         >>> import torch
@@ -80,12 +77,12 @@ def contrast_left(
             (value if value.ndim == 4 else value[None]).to(dtype).clamp(0.0, FARTHEST)
             for value in maps.values()
         )
-        object_light = _checked_light(reflectance, z)
+        grey = z.new_full((1, 3, *z.shape[-2:]), MID_GREY)
         water = medium.to(z)
         setting = Setting(medium, light, view=view)
         T = snowing(setting.curves(water, z, *unscaled), water, light, z, view, *unscaled)
         # an even surface, which no blur changes
-        terms = water.parts(z, object_light, object_light, T)
+        terms = water.parts(z, grey, grey, T)
         detail = _luminance(terms["direct"])
         arriving = _luminance(sum(terms.values(), z.new_zeros(())))
         # where no light arrives the slope of a quotient would be NaN
@@ -105,24 +102,6 @@ def metres_for(water: Water | Medium, contrast: float) -> float:
     of_grey = LUMINANCE @ weights.direct.reshape(3, 3, -1).sum(1)
     left = np.exp(-_TRIED_M[:, None] * weights.beta[0]) @ of_grey / of_grey.sum()
     return float(np.interp(-math.log(contrast), -np.log(left.clip(min=_LEAST)), _TRIED_M))
-
-
-def _checked_light(reflectance: float | Tensor, z: Tensor) -> Tensor:
-    """The light of an object (B or 1, 3, H, W), of z's type."""
-    if not isinstance(reflectance, Tensor):
-        checks.within("reflectance", reflectance, low=0.0)
-        return z.new_full((1, 3, *z.shape[-2:]), reflectance)
-    checks.floating("reflectance", reflectance)
-    if not torch.compiler.is_compiling() and reflectance.numel():
-        low, _ = checks.finite("reflectance", reflectance)
-        if low < 0:
-            raise ValueError(f"reflectance falls to {low:g}: expected linear light ≥ 0")
-    picture = (len(z), 3, *z.shape[-2:])
-    try:
-        return reflectance.to(z).expand(np.broadcast_shapes(reflectance.shape, picture))
-    except ValueError:
-        got = tuple(reflectance.shape)
-        raise ValueError(f"reflectance is {got}: expected what broadcasts with {picture}") from None
 
 
 def _luminance(light: Tensor) -> Tensor:

@@ -26,13 +26,9 @@ class Camera(Spectra):
         wavelengths (N array): wavelengths [nm], strictly ascending, N ≥ 1.
         response (N×3 array): response of R, G, B ≥ 0 to equal power, on any common scale.
         name: shown in messages.
-        color_matrix (3×3 array): from its raw channels to linear sRGB, for surfaces with spectra;
-            rows are scaled to a sum of 1. It is `rgb_cam` of dcraw, or XYZ → sRGB times a DNG
-            file's ForwardMatrix. None for the matrix that shows the colours of
-            `uwaug.optics.surfaces` as they are.
 
     Attributes are the arguments, the arrays as read-only float64 copies. Between its wavelengths a
-    response is linear. A ValueError if a channel responds to nothing.
+    response is linear, and outside of them 0. A ValueError if a channel responds to nothing.
 
     Examples:
         >>> Camera([450, 550, 600], [[0, 0, 1], [0, 1, 0], [1, 0, 0]], name="laser lines")
@@ -42,28 +38,12 @@ class Camera(Spectra):
     wavelengths: Array
     response: Array
     name: str
-    color_matrix: Array | None
 
-    def __init__(
-        self,
-        wavelengths: ArrayLike,
-        response: ArrayLike,
-        name: str = "custom",
-        color_matrix: ArrayLike | None = None,
-    ) -> None:
+    def __init__(self, wavelengths: ArrayLike, response: ArrayLike, name: str = "custom") -> None:
         axis = wavelength_axis(wavelengths)
         values = spectrum("response", response, axis, channels=(3,))
         _require_response(values, f"camera {name!r}")
-        matrix = None if color_matrix is None else _matrix(color_matrix)
-        vars(self).update(wavelengths=axis, response=values, name=name, color_matrix=matrix)
-
-    def at(self, wavelengths: ArrayLike) -> Array:
-        """Response (M, 3) at other wavelengths (M array) [nm], strictly ascending, by linear
-        interpolation; 0 outside its range.
-        """
-        axis = wavelength_axis(wavelengths)
-        rows = [np.interp(axis, self.wavelengths, row, left=0, right=0) for row in self.response.T]
-        return np.stack(rows, 1)
+        vars(self).update(wavelengths=axis, response=values, name=name)
 
     def weights(self, wavelengths: ArrayLike) -> Array:
         """Quadrature weights (M, 3) ≥ 0 at wavelengths (M array) [nm], strictly ascending:
@@ -76,7 +56,8 @@ class Camera(Spectra):
             [[0.0, 0.222, 0.5], [0.2, 0.333, 0.5], [0.8, 0.444, 0.0]]
         """
         axis = wavelength_axis(wavelengths)
-        values = self.at(axis)
+        rows = [np.interp(axis, self.wavelengths, row, left=0, right=0) for row in self.response.T]
+        values = np.stack(rows, 1)
         _require_response(values, f"camera {self.name!r} on {axis[0]:g}–{axis[-1]:g} nm")
         areas = values * np.gradient(axis)[:, None] if axis.size > 1 else values
         return np.asarray(areas / areas.sum(axis=0))
@@ -124,18 +105,6 @@ def require_covered(camera: Camera, low: float, high: float) -> None:
         if share < _MIN_COVERED_SHARE:
             sees = f"{share:.0%} of what {channel} of camera {camera.name!r} sees"
             raise ValueError(f"water covers {low:g}–{high:g} nm, {sees}")
-
-
-def _matrix(values: ArrayLike) -> Array:
-    matrix = np.array(values, np.float64)
-    sums = matrix.sum(-1) if matrix.shape == (3, 3) else np.zeros(3)
-    if not (np.isfinite(matrix).all() and (sums > 0).all() and np.linalg.cond(matrix) < 1e3):
-        expected = "3x3 numbers that can be inverted, with rows of a positive sum"
-        raise ValueError(f"color_matrix must be {expected}, got {values!r:.80}")
-    # rows that were scaled before stay as they are, to the last bit
-    rows: Array = matrix / np.where(np.abs(sums - 1) < 1e-12, 1.0, sums)[:, None]
-    rows.flags.writeable = False
-    return rows
 
 
 def _require_response(values: Array, subject: str) -> None:

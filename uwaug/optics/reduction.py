@@ -58,7 +58,7 @@ def reduced(
     sensor, reflected = _at_bands(camera, spectra.wavelengths.tobytes())
     basis, response = None, sensor
     if color_matrix is not None:
-        response, basis = through_camera(sensor, reflected, color_matrix, camera.color_matrix)
+        response, basis = through_camera(sensor, reflected, color_matrix)
     beta, G = attenuations(spectra.a, b, g)
     light = np.exp(-spectra.kd * vertical_depth)
     veil = response * (mu * b * light / G)

@@ -46,7 +46,6 @@ class Scattering:
     mu: float
 
     CALIBRATED: ClassVar["Scattering"]
-    PAPER: ClassVar["Scattering"]
 
     @staticmethod
     def of_table(angles: Sequence[float] | Array, values: Sequence[float] | Array) -> "Scattering":
@@ -98,7 +97,6 @@ class Scattering:
 # For `PointSpread.calibrated` and a subject that fills the view. μ keeps the μ/g of the paper, so
 # that the veil stays below a white plate.
 Scattering.CALIBRATED = Scattering(g=0.05, mu=0.075)
-Scattering.PAPER = Scattering(g=0.2, mu=0.3)  # for `PointSpread.paper`
 
 
 def _of(phase: Array) -> Scattering:

@@ -35,17 +35,13 @@ def reflectances(axis: bytes) -> Array:
     return np.stack([np.interp(np.frombuffer(axis), nm, column) for column in columns])
 
 
-def through_camera(
-    sensor: Array, basis: Array, share: float = 1.0, camera_matrix: Array | None = None
-) -> tuple[Array, Array]:
-    """Response (3, N) of a camera with its colour matrix C = 1 + share·(camera_matrix − 1), by
-    default M⁻¹, and reflectances (3, N) of the surfaces that it shows in air as R, G and B: (C·M)⁻¹
-    makes them of the basis. With C = M⁻¹ they are the basis; with less of it they have purer
-    colours.
+def through_camera(sensor: Array, basis: Array, share: float = 1.0) -> tuple[Array, Array]:
+    """Response (3, N) of a camera with a share of its colour matrix, C = 1 + share·(M⁻¹ − 1), and
+    reflectances (3, N) of the surfaces that it shows in air as R, G and B: (C·M)⁻¹ makes them of
+    the basis. With C = M⁻¹ they are the basis; with less of it they have purer colours.
     """
     M = sensor @ basis.T
-    full = _inverse(M.tobytes()) if camera_matrix is None else camera_matrix
-    return _through_camera(sensor, basis, M, _UNIT + share * (full - _UNIT))
+    return _through_camera(sensor, basis, M, _UNIT + share * (_inverse(M.tobytes()) - _UNIT))
 
 
 @compiled

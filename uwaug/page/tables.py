@@ -38,8 +38,6 @@ _BLUR_RMSE = 0.0005
 PIXELS = 1_000_000
 """Most pixels of a picture on the page. Each takes some 170 bytes, 72 of them for its blurs."""
 
-_REFLECTANCE = 0.18  # of the grey detail whose contrast is shown, as in `uwaug.contrast_left`
-
 
 def plan_of_page() -> BlurPlan:
     """Plan of the blurs of every picture on the page."""
@@ -74,7 +72,7 @@ def tables() -> dict[str, Any]:
         "farthest": FARTHEST,
         "law": {"scale": law.scale * WIDE.focal(1), "exponent": law.exponent, "ends": LENGTHS},
         "luminance": LUMINANCE,
-        "reflectance": _REFLECTANCE,
+        "reflectance": development.MID_GREY,
         "dimmest": random_water.DIMMEST,
         "much": random_water.MOST_CONTENTS,
         "mostContents": 2**random_water.MOST_STOPS,

@@ -14,6 +14,7 @@ from uwaug._support import checks
 from uwaug._support.types import ColorSpace, Shape
 from uwaug.blur import plan_blur, varying_blur
 from uwaug.formation.colour import decoded, encoded, require_values
+from uwaug.formation.inputs import batch_sizes
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.curves import FARTHEST
 from uwaug.optics.reduction import default_bands
@@ -89,18 +90,12 @@ def spectral(color_space: ColorSpace) -> Callable[[Callable[..., Tensor]], Calla
 
 
 def _opened(image: Tensor, z: Tensor, color_space: ColorSpace) -> tuple[Tensor, Tensor]:
-    if not isinstance(image, Tensor) or image.dtype != torch.uint8:
-        checks.floating("image", image, "; or uint8")
-    checks.picture("image", image, 3)
-    checks.floating("z", z)
-    checks.picture("z", z, 1)
-    checks.same_size("z", z, image)
+    checks.batches(batch_sizes(image=image, z=z))
     require_values(image, color_space)
     checks.distances("z", z)
     light = decoded(image, color_space)
     dtype = torch.promote_types(light.dtype, z.dtype)
     light, metres = (x.to(dtype).reshape(-1, *x.shape[-3:]) for x in (light, z))
-    checks.batches({"image": len(light), "z": len(metres)})
     rows = max(len(light), len(metres))
     return light.expand(rows, -1, -1, -1), metres.expand(rows, -1, -1, -1).clamp(max=FARTHEST)
 
