@@ -9,9 +9,14 @@ import argparse
 from pathlib import Path
 
 from benchmarks.harness import save
-from benchmarks.water import charts, edges
+from benchmarks.water import charts, edges, restore, waters
 
-PARTS = {"charts": charts.main, "edges": edges.main}
+PARTS = {
+    "charts": charts.main,
+    "edges": edges.main,
+    "waters": waters.main,
+    "restore": restore.main,
+}
 
 
 def main() -> None:
