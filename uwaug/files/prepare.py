@@ -17,7 +17,7 @@ from uwaug.files.pictures import read_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import reason_of
 from uwaug.files.search import pictures_in
-from uwaug.files.table import Row, require_rows
+from uwaug.files.table import Row
 from uwaug.transforms.like import like
 
 _SAMPLE_COUNT = 8  # pictures that are looked at, spread over the run
@@ -38,7 +38,6 @@ def prepare(
         The recipe to run, which draws waters like those of the references; and sentences to tell.
     """
     source, sentences = recipe.transform.distance, []
-    require_rows(rows, with_maps=source.reads_maps)
     samples = _samples(recipe, rows[:: -(-len(rows) // _SAMPLE_COUNT) or 1])
     if isinstance(source, Metres):
         sentences += doubts([sample.z for sample in samples if sample.z is not None])
