@@ -75,7 +75,6 @@ def references_of(paths: Sequence[Path]) -> list[Path]:
 
 
 class _Sample(NamedTuple):
-    row: Row
     image: Tensor  # 3xHxW
     z: Tensor | None  # map, 1xHxW
     reason: str  # for which it is refused
@@ -94,7 +93,7 @@ def _samples(recipe: Recipe, rows: Sequence[Row]) -> list[_Sample]:
                     _require_metres(recipe, row.name, z, image)
             except Exception as error:
                 reason = f"{row.distance}: {reason_of(error).removeprefix(f'{row.distance}: ')}"
-            samples.append(_Sample(row, image, z, reason))
+            samples.append(_Sample(image, z, reason))
     return samples
 
 

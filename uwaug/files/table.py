@@ -275,7 +275,7 @@ class _Pattern:
         """
         name = self._named(place, split)
         there = [file for end in self.ends if (file := self.files.at(f"{name}{end}")) is not None]
-        if self.column == "labels" or path.suffix.lower() != ".exr":  # which may be its own map
+        if path.suffix.lower() != ".exr":  # which may be its own map
             there = [file for file in there if os.path.abspath(file) != os.path.abspath(path)]
         if len(there) > 1:
             cure = f"give a pattern, such as {self.given}/{{stem}}.png"
