@@ -154,7 +154,7 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("labels/reef/a.txt", f"{ALL}0 nan .5 .5 .5", "line 2: expected"),
     ("labels/reef/a.txt", f"{ALL}0 .5 .5 .5", "line 2: expected"),
     ("labels/reef/a.txt", f"{ALL}0 a b c d", "line 2: could not convert"),
-    ("labels/reef/a.txt", f"{ALL}0 .5 .5 .2 .2 .7", "line 2: expected .* without confidence"),
+    ("labels/reef/a.txt", f"{ALL}0 .5 .5 .2 .2 7", "line 2: expected"),
     ("labels/reef/a.txt", f"{ALL}0 .1 .15 .16 .2 .05 .1 2 .12 .2 2", "line 2: .*need a kpt_shape"),
     ("labels/reef/a.txt", "0 .25 .5 .4 .9 .2 .5 2 .3 .6 1", POINTS),
     ("labels/reef/a.txt", "Car 0.00 0 -1.58 58 17 61 20 1.6 1.6", "expected class cx cy w h, as"),
@@ -517,7 +517,7 @@ def test_what_one_validates_on_is_not_trained_on(
     ],
 )
 def test_keypoints_of_which_the_number_is_said(tmp_path: Path, line: str, shape: Any) -> None:
-    write(tmp_path / "ds/labels/1.txt", f"{line}\n{line}\n")
+    write(tmp_path / "ds/labels/1.txt", f"{line} .97\n{line}\n")  # with confidence, or without
     table = rows(tmp_path / "ds/labels", "1.png")
     with pytest.raises(ValueError, match=f"{tmp_path / 'ds/labels'}: .*{POINTS}"):
         open_labels(table)
@@ -543,6 +543,17 @@ def test_polygons_are_no_keypoints(tmp_path: Path) -> None:
         open_labels(table)
     write(tmp_path / "data.yaml", "names: [fish]\n")
     assert labelled(table, tmp_path / "out") == [[label], [label]]
+
+
+def test_a_sixth_number_is_a_confidence(tmp_path: Path) -> None:
+    write(tmp_path / "labels/1.txt", "0 .25 .5 .5 1 .91\n1 .75 .5 .5 1 1\n")
+    write(tmp_path / "labels/2.txt", "0 .25 .5 .5 1\n1 .75 .5 .5 1\n")
+    table = rows(tmp_path / "labels", "1.png", "2.png")
+    with_them, without = labelled(table, tmp_path / "out", None)
+    assert with_them == without == [(1, 0.9, True), (2, 0.01, True)]
+    # trainers refuse lines of six numbers
+    written = [(tmp_path / f"out/labels/{number}.txt").read_bytes() for number in (1, 2)]
+    assert written[0] == written[1]
 
 
 # Masks

@@ -23,9 +23,9 @@ _PLACE_KEYS = ("train", "val", "validation", "test", "path", "download")  # of a
 class Yolo(PerPicture):
     """Text files with one object a line.
 
-    A line is `class cx cy w h`, or `class x1 y1 x2 y2 x3 y3 …` for a polygon. All but the class are
-    shares of the picture's width or height. Where the data.yaml has `kpt_shape`, keypoints follow
-    the box. Trainers refuse confidences.
+    A line is `class cx cy w h`, with or without a confidence, or `class x1 y1 x2 y2 x3 y3 …` for a
+    polygon. All but the class are shares of the picture's width or height. Where the data.yaml has
+    `kpt_shape`, keypoints follow the box.
     """
 
     description: Entry = field(default_factory=dict)  # content of the data.yaml
@@ -82,20 +82,16 @@ class Yolo(PerPicture):
     def objects(self, name: str, size: "Size") -> Iterator["tuple[Key, Pixels]"]:
         from uwaug._support.pixels import of_box, of_polygons
 
-        file, shape = self.of[name], self.description.get("kpt_shape")
+        file = self.of[name]
         for number, line in enumerate(_lines(file), 1):
             if not line.strip():
                 continue
             try:
-                shares = [float(word) for word in line.split()[1:]]
-                if shape is not None:
-                    if len(shares) != 4 + shape[0] * shape[1]:
-                        expected = f"a class, a box and {shape[0]} keypoints of {shape[1]} numbers"
-                        raise ValueError(f"expected {expected} each, got {len(shares) + 1} numbers")
-                    shares = shares[:4]
+                shares = [float(word) for word in self._words(line)[1:]]
+                shares = shares[:4] if "kpt_shape" in self.description else shares
                 is_whole = len(shares) >= 4 and len(shares) % 2 == 0
                 if not is_whole or not all(-0.5 <= share <= 1.5 for share in shares):
-                    expected = "expected a class, and shares of width and height without confidence"
+                    expected = "expected a class, and shares of width and height, 0…1"
                     raise ValueError(f"{expected}; keypoints need a kpt_shape in data.yaml")
             except ValueError as error:
                 raise ValueError(f"{file}, line {number}: {error}") from error
@@ -107,11 +103,24 @@ class Yolo(PerPicture):
             else:
                 yield number, of_polygons([corners], size)
 
+    def _words(self, line: str) -> list[str]:
+        """Words of an object without its confidence, which trainers refuse."""
+        words, count = line.split(), 5
+        if words and "kpt_shape" in self.description:
+            points, numbers = self.description["kpt_shape"]
+            count += points * numbers
+            if len(words) not in (count, count + 1):
+                expected = f"a class, a box and {points} keypoints of {numbers} numbers each"
+                raise ValueError(f"expected {expected}, got {len(words)} numbers")
+        has_confidence = len(words) == count + 1 and 0 <= float(words[-1]) <= 1
+        return words[:count] if has_confidence else words
+
     def without(self, dropped: Collection[Key], source: Path) -> bytes:
-        if not dropped:
+        lines = {number: self._words(line) for number, line in enumerate(_lines(source), 1)}
+        if not dropped and list(lines.values()) == list(map(str.split, _lines(source))):
             return source.read_bytes()
-        lines = enumerate(_lines(source), 1)
-        return "".join(f"{line}\n" for number, line in lines if number not in dropped).encode()
+        rest = (" ".join(words) for number, words in lines.items() if number not in dropped)
+        return "".join(f"{line}\n" for line in rest).encode()
 
     def lists(self, results: Sequence["Result"]) -> tuple[dict[str, bytes], list[str]]:
         """data.yaml, and a list of the pictures of each split, of which "" is of train."""
