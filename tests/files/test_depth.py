@@ -7,7 +7,7 @@ from networks import mean_of_channels
 from PIL import Image
 
 from uwaug.distance import Network, from_inverse
-from uwaug.files import propose, read_distance, read_picture
+from uwaug.files import read_distance, read_picture
 
 OPTIONS = "--mean 0 0 0 --std 1 1 1 --short-side 24 --multiple 1"
 PLAIN = OPTIONS.split()
@@ -26,9 +26,7 @@ def network(tmp_path, monkeypatch):
 
 
 def test_from_pictures_to_maps_to_water(network, tmp_path, run):
-    code, out, err = run(
-        "depth", "photos", "--network", network, "--out", "depth", *PLAIN, "--sheet"
-    )
+    code, out, err = run("depth", "photos", "--network", network, "--out", "depth", *PLAIN)
     assert (code, err) == (0, "")
     assert "3 of 3 maps written to depth" in out
     options = {"mean": (0, 0, 0), "std": (1, 1, 1), "short_side": 24, "multiple": 1}
@@ -63,16 +61,6 @@ def test_maps_of_another_network_never_pass_for_those_of_this_one(network, tmp_p
     assert (tmp_path / "depth/a.png").read_bytes() == before
     assert "3 of 3" in run(*named, *exchanged, "--force")[1]
     assert (tmp_path / "depth/a.png").read_bytes() != before
-
-
-def test_maps_do_not_depend_on_workers_and_are_no_pictures(network, tmp_path, run):
-    named = ("depth", "photos", "--network", network, *PLAIN, "--sheet", "--out")
-    assert run(*named, "photos/one", "--workers", "1")[0] == 0
-    assert run(*named, "two", "--workers", "2")[0] == 0
-    for name in ("a.png", "b.png", "more/c.png", "sheet.jpg"):
-        one = (tmp_path / "photos/one" / name).read_bytes()
-        assert one == (tmp_path / "two" / name).read_bytes()
-    assert [row.name for row in propose("photos")] == ["a.png", "b.png", "more/c.png"]
 
 
 def test_what_goes_wrong_is_named(network, tmp_path, run):

@@ -8,7 +8,6 @@ from filing import metres, pixels, save
 
 from uwaug import RandomUnderwater
 from uwaug.distance import Inverse, MadeUp, Metres, Plane, Source
-from uwaug.files import propose
 from uwaug.files.distances import are_maps, distances_of
 
 
@@ -33,7 +32,7 @@ def test_guesses_have_nothing_that_is_of_maps(
     said: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path / "photos")
-    with pytest.raises(ValueError, match="distance is made-up, guessed from pictures: unit"):
+    with pytest.raises(ValueError, match="made-up, guessed from pictures: leave out unit"):
         distances_of("made-up", **said)
 
 
@@ -87,13 +86,3 @@ def test_made_up_where_no_file_is_called_so(
     chosen, note = distances_of("made-up", {"far": 9.0})
     assert RandomUnderwater.from_dict({"distance": chosen}).distance == MadeUp(far=9.0)
     assert (are_maps("made-up"), note) == (False, "")
-
-
-def test_a_folder_with_a_number_for_a_name(run: Any) -> None:
-    flags = ("--distance", "01", "--workers", "1", "--out", "wet")
-    code, out, err = run("degrade", "photos", *flags)
-    assert (code, err) == (0, "")
-    assert out.endswith("1 of 1 pictures written to wet\n")
-    (row,) = propose("photos", "01")
-    assert row.distance is not None
-    assert str(row.distance) in Path("wet/a.png.json").read_text()

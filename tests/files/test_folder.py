@@ -148,7 +148,7 @@ def test_a_folder_of_ones_own_is_no_run_s(own: str, options: dict[str, bool]) ->
 
 def test_force_removes_what_a_run_has_written_and_nothing_else() -> None:
     degrade(replace(RECIPE, maps="npy", variants=2), rows(), "out", sheet=True)
-    with pytest.raises(FileExistsError, match=r"but of a run: .*--resume.*--force"):
+    with pytest.raises(FileExistsError, match=r"out is of a run: .*--resume.*--force"):
         degrade(RECIPE, rows(), "out")
     write("out/notes.txt", "mine")
     Path("all/1.png").write_bytes(b"")

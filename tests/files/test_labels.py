@@ -141,7 +141,7 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("a.json", "[" * 100_000, "is no COCO file"),
     ("a.json", '{"videos": [], "annotations": []}', "is no COCO file"),
     ("a.json", coco(annotations=[{"id": 1, "image_id": 9}]), "is no COCO file: KeyError.9"),
-    ("a.json", coco(images=[{"id": 1, "coco_url": "a"}]), "is no COCO file.* LVIS"),
+    ("a.json", coco(images=[{"id": 1, "coco_url": "a"}]), "is no COCO file.*LVIS"),
     ("a.json", coco(images=SAME, annotations=[]), "is no COCO file: .* an id of its own"),
     ("a.json", coco(annotations=[{"id": 7, "image_id": 1}]), "annotation 7: KeyError.'bbox'"),
     ("a.json", first(segmentation=[[0, 1, 2]]), "annotation 7"),
@@ -157,14 +157,13 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("labels/reef/a.txt", f"{ALL}0 .5 .5 .2 .2 7", "line 2: expected"),
     ("labels/reef/a.txt", f"{ALL}0 .1 .15 .16 .2 .05 .1 2 .12 .2 2", "line 2: .*need a kpt_shape"),
     ("labels/reef/a.txt", "0 .25 .5 .4 .9 .2 .5 2 .3 .6 1", POINTS),
-    ("labels/reef/a.txt", "Car 0.00 0 -1.58 58 17 61 20 1.6 1.6", "expected class cx cy w h; DOTA"),
-    ("labels/reef/a.txt", "684,8,273,116,0,0,0,0\n", "expected class cx cy w h; DOTA"),
+    ("labels/reef/a.txt", "Car 0.00 0 -1.58 58 17 61 20 1.6 1.6", "expected class cx cy w h, as"),
     ("labels/reef/a.txt", "Müll 1 1 1 1".encode("cp1252"), "is no text in UTF-8"),
     ("labels/reef/a.png", png(np.zeros((3, 4), np.uint8)), "is of 4×3 px, its picture of 8×6 px"),
     ("labels/reef/a.png", png(pixels(40, 40)), "a.png: .* colours are"),
     ("labels/reef/a.png", png(np.zeros((*SIZE, 4), np.uint8)), "one channel, or RGB, got RGBA"),
     ("labels/reef/a.tif", pages(), "expected one mask, got 2"),
-    ("labels/reef/a.png", png(HALVES, 0, 150, 0, 0, 0, 0), "another number is black: which is"),
+    ("labels/reef/a.png", png(HALVES, 0, 150, 0, 0, 0, 0), "black is not number 0"),
 ]
 
 
@@ -540,7 +539,7 @@ def test_polygons_are_no_keypoints(tmp_path: Path) -> None:
     ((label,), _) = labelled(table, tmp_path / "out")
     assert label.contrast == MIXED
     other.write_text(square)  # which may be a box with points, until a description says otherwise
-    with pytest.raises(ValueError, match="or of polygons with nothing but names"):
+    with pytest.raises(ValueError, match=POINTS):
         open_labels(table)
     write(tmp_path / "data.yaml", "names: [fish]\n")
     assert labelled(table, tmp_path / "out") == [[label], [label]]

@@ -179,27 +179,44 @@ def test_odd_scenes_are_told_of() -> None:
     save("depth/1.npy", 50 * metres(H, W))
     recipe = Recipe(RandomUnderwater(RandomWater("7C", contrast=0.4)))
     summary = degrade(recipe, rows()[:2], "out")
-    (odd,) = summary.odd
-    assert odd.startswith("1.png: pure water has less than a contrast of 0.4 at ")
-    assert degrade(recipe, rows()[:2], "out", resume=True).odd == summary.odd
+    odd, *_ = summary.asked
+    expected = "odd scenes: 1, such as 1.png: pure water has less than a contrast of 0.4 at "
+    assert odd.startswith(expected)
+    assert degrade(recipe, rows()[:2], "out", resume=True).asked == summary.asked
     for number, result in enumerate(summary.results):
         record = read_record(Path(f"out/{result.place}.json"))
         # whatever the water, metres are those of the map
         median = float(np.median(np.load(f"depth/{number}.npy")))
         assert record["clarity"]["metres"] == pytest.approx(median, rel=0.01)
-        assert (record["lost"], record["odd"]) == (result.lost, result.odd)
+        assert record["odd"] == result.odd
 
 
-@pytest.mark.parametrize("shares, blank", [((0.4, 0.6), ["1.png"]), ((0.5, 0.5), [])])
-def test_a_picture_is_blank_where_most_of_it_is_lost(shares: Any, blank: list[str]) -> None:
+def test_a_picture_is_blank_where_most_of_it_is_lost() -> None:
+    shares = (0.4, 0.5, 0.6)
     for number, share in enumerate(shares):
         z = np.full((H, W), 0.3, np.float32)
         z[:, : round(share * W)] = 50
         z[: H // 2] = np.inf  # open water, of which nothing can be lost
         save(f"depth/{number}.npy", z)
-    summary = degrade(Recipe(RandomUnderwater("9C", light=None)), rows()[:2], "out")
-    assert [r.lost for r in summary.results] == pytest.approx(list(shares), abs=0.03)
-    assert summary.blank == blank
+    summary = degrade(Recipe(RandomUnderwater("9C", light=None)), rows()[:3], "out")
+    lost = [read_record(Path(f"out/{number}.png.json"))["lost"] for number in range(3)]
+    assert lost == pytest.approx(list(shares), abs=0.03)
+    (question,) = summary.asked
+    assert question.startswith("1 pictures, such as 2.png, are lost in the water for the most part")
+
+
+@pytest.mark.parametrize("end", ["png", "tif"])
+def test_pictures_of_12_bits_in_16_are_told_of(end: str) -> None:
+    bits = {"12": words() >> 4, "10": words() >> 6, "16": words(), "dark": words() >> 3}
+    bits["none"] = 0 * words()
+    for name, values in bits.items():
+        save(f"raw/{name}.{end}", values)
+    save("raw/8.png", pixels() >> 4)  # which is dark, as far as one can tell
+    recipe = Recipe(RandomUnderwater("II", distance=1.0))
+    summary = degrade(recipe, propose("raw"), "out")
+    assert {r.row.picture.stem for r in summary.results if "dark" in r.asked} == {"10", "12"}
+    told = f"2 pictures, such as 10.{end}, of 16 bits, hold no number above 4095: have they 12 bits"
+    assert any(question.startswith(told) for question in summary.asked)
 
 
 def test_formats_and_names() -> None:
@@ -379,7 +396,8 @@ def test_one_bad_picture_does_not_stop_the_rest() -> None:
         ({}, "depth", "all", "is read, and would be written over"),
         ({}, "depth", "out.png", r"out \(--out\) must be a folder, got out.png"),
         ({"unit": "mm"}, "mm", "mm", "mm/0.png is read, and would be written over"),
-        ({"min_contrast": 0.1}, "depth", "out", "is of labels, of which none are given"),
+        ({"min_contrast": 0.1}, "depth", "out", "are of labels, of which none are given"),
+        ({"classes": "data.yaml"}, "depth", "out", "are of labels, of which none are given"),
         ({"transform": {"water": "II"}}, "depth", "out", "must be a uwaug.RandomUnderwater"),
         ({"unit": "inch"}, "depth", "out", "unit must be one of m, cm, mm"),
         ({"variants": 0}, "depth", "out", "variants must be 1 or more"),

@@ -152,17 +152,6 @@ def test_coco_in_one_file_for_three_splits(
     assert as_torchvision(torchvision, root, "wet/all.json") == expected
 
 
-def test_names_that_come_again_in_each_split_are_refused(run: Run) -> None:
-    for split in ("train", "val"):
-        save(f"ds/{split}/1.jpg", pixels(H, W))
-    coco("ds/all.json", {"1.jpg": 1})
-    flags = ("--labels", "ds/all.json", "--out", "wet", "--distance", "2")
-    code, _, err = run("degrade", "ds", *flags)
-    assert code != 0
-    said = " ".join(err.split())
-    assert "1.jpg may be ds/train/1.jpg or ds/val/1.jpg: write in the column labels" in said
-
-
 # A table
 
 

@@ -137,7 +137,7 @@ def test_the_time_of_a_frame_is_the_number_that_varies(names: str, times: list[f
         ("d/1.png m/1.h5", "m", None, r"m has a file for no picture: expected such as m/1, "),
         ("d/1.png m/1.npy", "m/{name}.npy", None, r"has \{name\}: expected \{stem\}, \{folder\}"),
         ("d/1.png l/frame_1.txt", None, "l", r"labels: l has a file for no picture: .*column lab"),
-        ("d/1.heic d/2.MP4", None, None, r"no pictures in d: .*1 \.heic: convert.*1 \.mp4: make"),
+        ("d/1.heic d/2.MP4", None, None, r"no pictures in d: .*1 \.heic, 1 \.mp4: make PNG of"),
     ],
 )
 def test_what_a_folder_does_not_say_is_refused(
@@ -156,7 +156,7 @@ def test_what_is_not_there_and_what_is_no_picture() -> None:
     with pytest.raises(FileNotFoundError):
         propose("nowhere")
     touch("d/2.heic")
-    with pytest.raises(ValueError, match=r"d/2\.heic: convert them first"):
+    with pytest.raises(ValueError, match=r"d/2\.heic: make PNG of them"):
         propose("d/2.heic")
 
 

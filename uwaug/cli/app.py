@@ -35,7 +35,7 @@ _COMMANDS = (
     ("Pictures", degrade, "photos/ --distance depth/ --unit mm --holes behind --out wet/ --sheet"),
     ("Pictures", plot, "photo.jpg --distance depth.npy --water 7C --out sheets/"),
     ("Pictures", compare, "photo.jpg --distance depth.npy --water II --out sheet.png"),
-    ("Pictures", depth, "photos/ --out depth/ --sheet"),
+    ("Pictures", depth, "photos/ --out depth/"),
     ("Pictures", page, "--image photo.jpg --distance depth.png --unit mm --holes behind --open"),
     ("Pictures", demo, ""),
     ("Waters", fit, "--clean air.png --observed wet.png --distance depth.npy --out fit.json"),

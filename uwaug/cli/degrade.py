@@ -225,7 +225,7 @@ def degrade(
             with counted() as progress:
                 how |= {"beside": references, "ray": ray, "progress": progress}
                 summaries.append(run(graded, rows, out / folder, **how))
-            _print_summary(summaries[-1], out / folder, has_maps=has_maps)
+            _print_summary(summaries[-1], out / folder)
     end_if_failed([failure for summary in summaries for failure in summary.failures])
 
 
@@ -274,21 +274,13 @@ def _grades(severity: str | None) -> dict[str, float | None]:
     return {"": SEVERITIES[int(severity)]}
 
 
-def _print_summary(summary: "Summary", out: Path, *, has_maps: bool) -> None:
+def _print_summary(summary: "Summary", out: Path) -> None:
     print_counts(summary, "pictures", out)
     if any(result.row.labels for result in summary.results):
         count, kept = summary.objects
         print(f"{kept} of {count} labels kept")
-    for note in summary.notes:
-        print(note)
-    if blank := summary.blank:
-        cure = "are distances in another unit? If not, " if has_maps else ""
-        cure += "take clearer water by --contrast"
-        print(f"most of the scene is lost in {len(blank)} of them, such as {blank[0]}: {cure}")
-    if summary.odd:
-        print(f"odd scenes: {len(summary.odd)}, such as {summary.odd[0]}")
-    for question in summary.asked:
-        print(question)
+    for sentence in (*summary.notes, *summary.asked):
+        print(sentence)
 
 
 def _options(

@@ -40,7 +40,6 @@ def depth(
     workers: Workers = 0,
     resume: Resume = False,
     force: Force = False,
-    sheet: Annotated[bool, typer.Option("--sheet", help="Draw some maps on a sheet.")] = False,
 ) -> None:
     """Make distance maps of pictures by a depth network, once, for runs of degrade."""
     require_folder(out)
@@ -53,28 +52,14 @@ def depth(
 
         checks.one_of("holds", holds, _HOLDS)
         kind = {"inverse": Inverse, "relative": Relative, "metres": Metres}[holds]
-        model = Network(
-            network,
-            holds=kind(),
-            short_side=short_side,
-            multiple=multiple,
-            mean=mean,
-            std=std,
-        )
+        sides = {"short_side": short_side, "multiple": multiple}
+        model = Network(network, holds=kind(), mean=mean, std=std, **sides)
         rows = propose(pictures, exclude=[out])
         if unread := left_out(pictures, [out]):
             print(f"left out, as such files are not read: {unread}")
         with counted() as progress:
-            summary = write_maps(
-                model,
-                rows,
-                out,
-                workers=workers,
-                resume=resume,
-                force=force,
-                sheet=sheet,
-                progress=progress,
-            )
+            how = {"workers": workers, "resume": resume, "force": force, "progress": progress}
+            summary = write_maps(model, rows, out, **how)
     print_counts(summary, "maps", out)
     end_if_failed(summary.failures)
     flags = f"--set distance.kind={kind.__name__} --set distance.near=1 --set distance.far=5"

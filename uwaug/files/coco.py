@@ -124,8 +124,9 @@ def _read(file: Path) -> tuple[list[Entry], dict[Any, list[Entry]], Entry]:
         annotations: dict[Any, list[Entry]] = {image["id"]: [] for image in images}
         are_named = all(_parts(image.get("file_name", "")) for image in images)
         if len(annotations) < len(images) or not are_named:
-            expected = "expected a file_name (in LVIS, the end of coco_url) and an id of its own"
-            raise ValueError(f"{expected} for each image")
+            raise ValueError(
+                "expected a file_name (LVIS has none), and an id of its own, of each image"
+            )
         for entry in rest.pop("annotations"):
             annotations[entry["image_id"]].append(entry)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:

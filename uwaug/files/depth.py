@@ -11,8 +11,8 @@ from torch import Tensor
 
 from uwaug._support import codec
 from uwaug._support.atomic import written_whole
-from uwaug.distance import Inverse, Metres, Network, Relative
-from uwaug.files.pictures import read_distance, read_picture
+from uwaug.distance import Metres, Network, Relative
+from uwaug.files.pictures import read_picture
 from uwaug.files.record import digest
 from uwaug.files.run import Job, Work, run
 from uwaug.files.summary import Summary
@@ -32,7 +32,7 @@ def write_maps(network: Network, rows: Sequence[Row], out: str | Path, **options
         network: a network in a file.
         rows: pictures, see `propose`.
         out: folder to write to, made if need be.
-        options: workers, resume, force, sheet and progress, as for `degrade`.
+        options: workers, resume, force and progress, as for `degrade`.
 
     Raises:
         TypeError: if the network is a function.
@@ -59,12 +59,6 @@ class _Maps(Work):
     def write(self, path: Path, result: NDArray[np.uint16], row: Row) -> None:
         with written_whole(path) as part:
             Image.fromarray(result).save(part, "PNG")
-
-    def read(self, path: Path) -> Tensor:
-        values = read_distance(path, None)
-        values = (values - values.min()) / (values.max() - values.min()).clamp(min=1e-9)
-        near_is_large = isinstance(self.network.holds, Inverse)
-        return (values if near_is_large else 1 - values).expand(3, -1, -1)
 
 
 def _whole_numbers(depth: Tensor, network: Network) -> NDArray[np.uint16]:

@@ -48,13 +48,13 @@ def distances_of(
         plane, word = read_range(distance), WORDS.get(distance, {})
         if plane is not None:
             if has_options:
-                cure = "leave out unit, holes and distance.…, which are of maps"
-                raise ValueError(f"distance is {distance} m for all of a picture: {cure}")
+                got = f"distance is {distance} m for all of a picture"
+                raise ValueError(f"{got}: leave out unit, holes and distance.…, which are of maps")
             return plane, ""
         options = word if source is None else source
         kind = options.get("kind", word["kind"]) if isinstance(options, Mapping) else None
         if kind != word["kind"] or (unit, holes) != ("m", "error"):
-            cure = "unit, holes and other sources are of maps; leave them out"
+            cure = "leave out unit, holes and other sources, which are of maps"
             raise ValueError(f"distance is {distance}, guessed from pictures: {cure}")
         return {**options, **word}, ""
     if distance is not None or has_options or has_maps:
@@ -67,5 +67,4 @@ def distances_of(
         got = f"Without --distance, all of a film is a plane, {low:g} to {high:g} m away"
         return _FILM_PLANE_M, f"{got}, as distances made up from each frame would flicker."
     got = "Without --distance, distances are guessed from each picture"
-    note = f"{got}: good to look at and to train with, not to measure or restore by."
-    return WORDS["made-up"], note
+    return WORDS["made-up"], f"{got}: to look at and to train with, not to measure or restore by."

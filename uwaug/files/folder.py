@@ -101,8 +101,7 @@ class RunFolder:
             for file in own:
                 file.unlink(missing_ok=True)
         elif not resume:
-            cure = f"resume=True (--resume) goes on, {_ANEW}"
-            raise FileExistsError(f"{out} is not empty, but of a run: {cure}")
+            raise FileExistsError(f"{out} is of a run: resume=True (--resume) goes on, {_ANEW}")
         else:
             if changes := [name for name, x in made_with.items() if earlier.get(name) != x]:
                 got = f"{out} was made with another {' and '.join(changes)}"

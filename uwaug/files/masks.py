@@ -89,8 +89,7 @@ def _read(file: Path) -> "tuple[NDArray[Any], NDArray[Any], list[int] | None]":
     if palette and any(palette[:3]):
         colours = np.reshape(palette, (-1, 3))[1 : int(pixels.max()) + 1]
         if not colours.any(1).all():
-            got = "in its palette 0 is a colour, and another number is black"
-            raise ValueError(f"{file}: {got}: which is background? Save it as RGB")
+            raise ValueError(f"{file}: black is not number 0 of its palette: save it as RGB")
     if pixels.ndim == 2:
         return pixels, pixels, palette
     if (pixels == pixels[..., :1]).all():

@@ -66,8 +66,7 @@ def open_picture(path: Path, color_space: ColorSpace = "srgb") -> Picture:
     if values.ndim == 2:
         values = values[..., None].repeat(3, 2)
     if values.ndim != 3 or values.shape[2] != 3:
-        cure = "save it as RGB, without alpha"
-        raise ValueError(f"{path}: expected (H, W, 3) or (H, W), got {values.shape}: {cure}")
+        raise ValueError(f"{path}: expected RGB or grey, without alpha, got shape {values.shape}")
     if color_space == "srgb" and values.dtype.kind == "u":
         values = _in_srgb(values, file.profile)
     if values.dtype == np.uint16:
@@ -104,8 +103,8 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     if values.ndim == 3 and all(np.array_equal(v, values[..., 0].T, True) for v in values.T):
         values = values[..., 0]
     if values.ndim != 2:
-        cure = "are distances packed in them? Unpack them first, as by their data set's own tool"
-        raise ValueError(f"{path}: expected one channel (H, W), got {values.shape}: {cure}")
+        got = f"{values.shape}: are distances packed in them? Unpack them first"
+        raise ValueError(f"{path}: expected one channel (H, W), got {got}")
     is_unknown = np.zeros(values.shape, bool) if nodata is None else values == nodata
     if unit is None:
         white = np.iinfo(values.dtype).max if values.dtype in (np.uint8, np.uint16) else 1
@@ -121,11 +120,8 @@ def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
     distance = torch.from_numpy(z)[None]
     median = checks.too_far(distance)
     if median is not None:
-        got = f"the median is {median:.4g} metres if they are in {unit}, farther than one sees"
-        cure = "is the unit mm (--unit mm)?"
-        if largest < np.inf and values[values < largest].max() > largest / 2:
-            cure = "is the unit mm (--unit mm), or are they relative (--set distance.kind=Inverse)?"
-        raise ValueError(f"{path}: {got}: {cure}")
+        cure = "is the unit mm (--unit mm), or are they relative (--set distance.kind=Inverse)?"
+        raise ValueError(f"{path}: a median of {median:.4g} m is farther than one sees: {cure}")
     return distance
 
 
@@ -136,18 +132,6 @@ def metres_of(unit: str | float) -> float:
         return UNITS[unit]
     checks.positive("unit", unit, "m")
     return float(unit)
-
-
-def holds_picture(path: Path) -> bool:
-    """True if a file may be a picture; an EXR, if it has colours, as maps have none."""
-    if path.suffix.lower() != ".exr":
-        return True
-    try:
-        (exr,) = require("files", "OpenEXR")
-        parts = exr.File(str(path), header_only=True).parts
-    except Exception:  # decoders raise whatever they like; who reads it says what is wrong
-        return True
-    return any(channel.name.endswith("R") for part in parts for channel in part.header["channels"])
 
 
 def write_picture(
@@ -324,8 +308,7 @@ def _of_exr(path: Path, what: _What) -> _File:
     primaries = [part.header.get("chromaticities", _REC_709) for part in parts]
     if what == "RGB" and not np.allclose(primaries, _REC_709, atol=2e-3):
         got = ", ".join(f"{number:.4g}" for number in primaries[0])
-        cure = "convert it first, as by oiiotool --colorconvert"
-        raise ValueError(f"primaries must be those of Rec. 709, got {got}: {cure}")
+        raise ValueError(f"primaries must be those of Rec. 709, got {got}: convert it first")
     layers = [(name, channel.pixels) for part in parts for name, channel in part.channels.items()]
     names = ("RGB", "RGBA") if what == "RGB" else ("Z", "Y")
     is_alone = what == "Z" and len(layers) == 1

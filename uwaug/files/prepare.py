@@ -17,7 +17,7 @@ from uwaug.files.pictures import read_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import reason_of
 from uwaug.files.search import pictures_in
-from uwaug.files.table import Row, require_rows
+from uwaug.files.table import Row
 from uwaug.transforms.like import like
 
 _SAMPLE_COUNT = 8  # pictures that are looked at, spread over the run
@@ -38,7 +38,6 @@ def prepare(
         The recipe to run, which draws waters like those of the references; and sentences to tell.
     """
     source, sentences = recipe.transform.distance, []
-    require_rows(rows, with_maps=source.reads_maps)
     samples = _samples(recipe, rows[:: -(-len(rows) // _SAMPLE_COUNT) or 1])
     if isinstance(source, Metres):
         sentences += doubts([sample.z for sample in samples if sample.z is not None])
@@ -76,7 +75,6 @@ def references_of(paths: Sequence[Path]) -> list[Path]:
 
 
 class _Sample(NamedTuple):
-    row: Row
     image: Tensor  # 3xHxW
     z: Tensor | None  # map, 1xHxW
     reason: str  # for which it is refused
@@ -95,7 +93,7 @@ def _samples(recipe: Recipe, rows: Sequence[Row]) -> list[_Sample]:
                     _require_metres(recipe, row.name, z, image)
             except Exception as error:
                 reason = f"{row.distance}: {reason_of(error).removeprefix(f'{row.distance}: ')}"
-            samples.append(_Sample(row, image, z, reason))
+            samples.append(_Sample(image, z, reason))
     return samples
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
 
 from uwaug import __version__
 from uwaug._support.atomic import remove_left
@@ -18,7 +17,6 @@ from uwaug.fast import load
 from uwaug.files.films import Frame
 from uwaug.files.folder import NOT_OURS, RunFolder, held
 from uwaug.files.labels import Judged, Labels
-from uwaug.files.pictures import read_picture
 from uwaug.files.pool import on_processes
 from uwaug.files.ray import on_ray
 from uwaug.files.record import digest, reason_of, record_of, record_path, write_record
@@ -70,10 +68,6 @@ class Work:
         if job.labels is None or job.row.name not in job.labels.of:
             return []
         return job.labels.files(job.place, self.out)
-
-    def read(self, path: Path) -> Tensor:
-        """Read a result as a picture (3xHxW), for the sheet."""
-        return read_picture(path)
 
     def caption(self, path: Path) -> str:
         """Caption of a result on the sheet, two lines at most."""
@@ -127,9 +121,8 @@ def versions() -> dict[str, str]:
 
 def _of_record(job: Job, status: Any, record: dict[str, Any]) -> Result:
     objects = [Judged(**entry) for entry in record.get("objects", [])]
-    shares = record.get("contrast"), record.get("lost")
-    words = record.get("odd", ""), record.get("asked", ())
-    return Result(job.row, job.variant, job.place, status, *shares, objects, *words)
+    entries = record.get("contrast"), objects, record.get("odd", ""), record.get("asked", ())
+    return Result(job.row, job.variant, job.place, status, *entries)
 
 
 def run(

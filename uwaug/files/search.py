@@ -7,18 +7,17 @@ from contextlib import suppress
 from pathlib import Path
 
 from uwaug.files.folder import manifest_of
-from uwaug.files.pictures import ENDINGS, holds_picture
+from uwaug.files.pictures import ENDINGS
 from uwaug.files.record import record_of
 
 PICTURE_ENDINGS = tuple(end for end in ENDINGS if end != ".npy")
-# cures for pictures that are neither read nor written, with the ends of their names
-_UNREAD = {
-    "convert them first, as by magick mogrify -format png": ".avif .bmp .gif .heic .heif .jp2 .jxl "
-    ".mpo .pgm .ppm .psd .tga .webp",
-    "develop them first, as by darktable-cli": ".arw .cr2 .cr3 .dng .gpr .nef .orf .raf .rw2 .srw",
-    "make frames of it, as by ffmpeg -i FILM frames/%05d.png, and give --sequence": ".avi .insv "
-    ".m2ts .mkv .mov .mp4 .mpg .mts .webm .wmv",
-}
+# ends of names of pictures and films that are not read
+_UNREAD = (
+    *(".arw", ".avi", ".avif", ".bmp", ".cr2", ".cr3", ".dng", ".gif", ".gpr", ".heic", ".heif"),
+    *(".insv", ".jp2", ".jxl", ".m2ts", ".mkv", ".mov", ".mp4", ".mpg", ".mpo", ".mts", ".nef"),
+    *(".orf", ".pgm", ".ppm", ".psd", ".raf", ".rw2", ".srw", ".tga", ".webm", ".webp", ".wmv"),
+)
+_CURE = "make PNG of them; of a film, by ffmpeg -i FILM frames/%05d.png, and give --sequence"
 _OF_DISKS = ("@eaDir", "@Recycle", "@Recently-Snapshot", "@tmp")  # folders of network disks
 
 Exclude = Iterable[str | Path | None]
@@ -31,11 +30,11 @@ def pictures_in(source: Path, exclude: Exclude = ()) -> list[Path]:
         ValueError: if there are none.
         OSError: if there is no such file or folder.
     """
-    if cure := cure_of(source.suffix):
-        raise ValueError(f"{source}: {cure}")
+    if source.suffix.lower() in _UNREAD:
+        raise ValueError(f"{source}: {_CURE}")
     paths = [source]
     if not source.is_file():
-        paths = sorted(filter(holds_picture, _inside(source, exclude, PICTURE_ENDINGS)))
+        paths = sorted(_inside(source, exclude, PICTURE_ENDINGS))
     if not paths:
         unread = left_out(source, exclude)
         got = f"{', '.join(PICTURE_ENDINGS)}{unread and f'; there are {unread}'}"
@@ -44,16 +43,11 @@ def pictures_in(source: Path, exclude: Exclude = ()) -> list[Path]:
 
 
 def left_out(source: Path, exclude: Exclude = ()) -> str:
-    """Numbers and cures of pictures in formats that are not read, in words."""
-    endings = tuple(" ".join(_UNREAD.values()).split())
-    paths = _inside(source, exclude, endings) if source.is_dir() else ()
+    """Numbers of pictures in formats that are not read, and the cure; "" without any."""
+    paths = _inside(source, exclude, _UNREAD) if source.is_dir() else ()
     counts = Counter(path.suffix.lower() for path in paths)
-    return "; ".join(f"{n} {end}: {cure_of(end)}" for end, n in sorted(counts.items()))
-
-
-def cure_of(end: str) -> str:
-    """Cure for files whose names end so; "" where they can be read."""
-    return next((cure for cure, ends in _UNREAD.items() if end.lower() in ends.split()), "")
+    numbers = ", ".join(f"{n} {end}" for end, n in sorted(counts.items()))
+    return numbers and f"{numbers}: {_CURE}"
 
 
 def _inside(folder: Path, exclude: Exclude, endings: tuple[str, ...]) -> Iterator[Path]:

@@ -30,7 +30,7 @@ def drawn_sheet(
 
     def after(result: Result) -> Cell:
         path = work.out / result.place
-        picture, kept = work.read(path), {judged.key: judged.kept for judged in result.objects}
+        picture, kept = read_picture(path), {judged.key: judged.kept for judged in result.objects}
         size = picture.shape[1], picture.shape[2]
         for key, pixels in labels.objects(result.row.name, size) if labels and kept else ():
             draw_box(picture, pixels, "yellow" if kept[key] else "red", _SIZE_PX)

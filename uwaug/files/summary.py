@@ -12,6 +12,9 @@ from uwaug.files.table import Row
 _COLUMNS = ("name", "variant", "result", "contrast", "status", "reason")
 
 ASKED = {
+    "blank": "are lost in the water for the most part: are distances in another unit? If not, take "
+    "clearer water by --contrast",
+    "dark": "of 16 bits, hold no number above 4095: have they 12 bits? Stretch them to 16 first",
     "turned": "are upright by EXIF alone: maps and labels are taken as upright, too. Are they?",
     "alone": "have maps with 0, or another end, a gap away from all other values: unknown? --holes "
     "behind; sky? --holes far",
@@ -27,7 +30,6 @@ class Result(NamedTuple):
     place: str  # path of the written file below the folder of the run
     status: Literal["written", "skipped", "failed"]  # skipped, as the same was made before
     contrast: float | None = None  # mean share that is left, 0…1; None if it failed, and for maps
-    lost: float | None = None  # share of the pixels with less than 3 % of it, but for open water
     objects: Sequence[Judged] = ()  # that have labels
     odd: str = ""  # a sentence on a water that is hardly the one that was named
     asked: Sequence[str] = ()  # keys of `ASKED` that apply
@@ -55,19 +57,12 @@ class Summary:
         ]
 
     @property
-    def blank(self) -> list[str]:
-        """Names of pictures of which more than half is lost."""
-        return [result.row.name for result in self.results if (result.lost or 0) > 0.5]
-
-    @property
-    def odd(self) -> list[str]:
-        """Sentences on waters that are hardly those that were named, each after a picture."""
-        return [f"{result.row.name}: {result.odd}" for result in self.results if result.odd]
-
-    @property
     def asked(self) -> list[str]:
-        """Questions of `ASKED` that apply, with the number of pictures and a name."""
-        sentences = []
+        """Questions of `ASKED` that apply, and a water that is hardly the one that was named, each
+        with the number of pictures and a name.
+        """
+        odd = [result for result in self.results if result.odd]
+        sentences = [f"odd scenes: {len(odd)}, such as {r.row.name}: {r.odd}" for r in odd[:1]]
         for key, question in ASKED.items():
             names = list(dict.fromkeys(r.row.name for r in self.results if key in r.asked))
             if names:

@@ -7,10 +7,10 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from uwaug._support.atomic import read_text, write_whole
 from uwaug.files import formats
@@ -149,22 +149,22 @@ def propose(
     paths = pictures_in(source, [*exclude, distance, labels])
     folder = source.parent if source.is_file() else source
     files = _Files()
-    map_of = _finder("distance", distance, MAP_ENDINGS, files)
-    labels_of = _finder("labels", labels, formats.ENDINGS, files)
+    columns = ("distance", distance, MAP_ENDINGS), ("labels", labels, formats.ENDINGS)
+    patterns = [_Pattern(c, given, ends, files) for c, given, ends in columns if given is not None]
     rows = []
     for path in paths:
         place = path.relative_to(folder)
         split = next((part for part in reversed(path.parts[:-1]) if part in SPLITS), "")
         shown = os.fsencode(place.as_posix()).decode(errors="backslashreplace")
         film = os.path.dirname(shown) or "." if sequence else ""
-        own = map_of(path, place, split), labels_of(path, place, split)
-        rows.append(Row(shown, path, *own, SPLITS.get(split, ""), film))
+        own: Any = {pattern.column: pattern.of(path, place, split) for pattern in patterns}
+        rows.append(Row(shown, path, split=SPLITS.get(split, ""), film=film, **own))
     # files beside the pictures, but for an EXR that holds its own distances
     cells = ((row.picture, file) for row in rows for file in (row.distance, row.labels) if file)
     taken = {os.path.abspath(file) for picture, file in cells if file != picture}
     rows = [row for row in rows if os.path.abspath(row.picture) not in taken]
-    _require_found("distance", distance, rows, MAP_ENDINGS)
-    _require_found("labels", labels, rows, formats.ENDINGS)
+    for pattern in patterns:
+        pattern.require_found(rows)
     return _timed(rows) if sequence else rows
 
 
@@ -178,8 +178,7 @@ def require_rows(rows: Sequence[Row], *, with_maps: bool = False) -> None:
         parts = row.name.split("/")
         is_format = os.path.splitext(row.name)[1].lower() in ENDINGS
         if row.name in names:
-            cure = "write another in the column name"
-            raise ValueError(f"name: two rows are called {row.name}: {cure}")
+            raise ValueError(f"name: two rows are called {row.name}: write another in that column")
         if ".." in parts or "" in parts or not is_format:
             expected = f"a path below the folder of the run, ending in {', '.join(ENDINGS)}"
             raise ValueError(f"name: expected {expected}, got {row.name}")
@@ -191,7 +190,7 @@ def require_rows(rows: Sequence[Row], *, with_maps: bool = False) -> None:
                 rows_of.setdefault(file, []).append(row)
         if absent := [file for file in rows_of if not file.is_file()]:
             got = f"{len(absent)} of its files are not there, such as {absent[0]}"
-            raise ValueError(f"column {column}: {got} of {rows_of[absent[0]][0].name}")
+            raise ValueError(f"column {column}: {got}")
         if column != "picture":
             _require_own(column, rows_of, len(rows))
     bare = [row.name for row in rows if row.distance is None]
@@ -207,7 +206,8 @@ def in_words(rows: Sequence[Row]) -> str:
     for column, what in (("distance", "maps"), ("labels", "labels")):
         bare = [row.name for row in rows if getattr(row, column) is None]
         if len(bare) < len(rows):
-            rest = f", {len(bare)} have none: {_listed(bare)}" if bare else ""
+            names = f"{', '.join(bare[:2])}{' and others' * (len(bare) > 2)}"
+            rest = f", {len(bare)} have none: {names}" if bare else ""
             words.append(f"{len(rows) - len(bare)} have {what}{rest}")
     splits = Counter(row.split for row in rows)
     if splits.keys() - {""}:
@@ -249,70 +249,60 @@ class _Files:
         return self._listings[folder]
 
 
-def _finder(
-    column: str, given: str | Path | None, endings: Sequence[str], files: _Files
-) -> Callable[[Path, Path, str], Path | None]:
-    """A function that gives the file of a picture, by its path, its path below the folder of
-    pictures, and the folder that its split is named by.
-    """
-    if given is None:
-        return lambda path, place, split: None
-    fields, pattern = _FIELD.findall(str(given)), Path(given)
-    if unknown := {*fields} - {"stem", "folder", "split"}:
-        expected = "expected {stem}, {folder} or {split}"
-        raise ValueError(f"{column}: {given} has {{{min(unknown)}}}: {expected}")
-    if not fields and not pattern.is_dir():
-        pattern.stat()
-        accepted = endings if column == "distance" else (*endings, *formats.SHARED)
-        if pattern.suffix.lower() not in accepted:
-            expected = f"expected a file ending in {', '.join(accepted)}"
-            raise ValueError(f"{column}: {expected}, got {given}")
-        return lambda path, place, split: pattern
+class _Pattern:
+    """The files that a folder, a pattern or a file for all gives to pictures, in one column."""
 
-    def file_of(path: Path, place: Path, split: str) -> Path | None:
-        if fields:
-            named = [_named(given, place, split)]
-        else:
-            stem = pattern / place.with_suffix("")
-            named = [f"{stem}{end}" for end in endings]
-        there = [file for name in named if (file := files.at(name)) is not None]
-        if column == "labels" or path.suffix.lower() != ".exr":  # which may be its own map
+    def __init__(
+        self, column: str, given: str | Path, endings: Sequence[str], files: _Files
+    ) -> None:
+        self.column, self.given, self.files = column, str(given), files
+        self.text, self.ends = self.given, [""]
+        fields = _FIELD.findall(self.given)
+        if unknown := {*fields} - {"stem", "folder", "split"}:
+            expected = "expected {stem}, {folder} or {split}"
+            raise ValueError(f"{column}: {given} has {{{min(unknown)}}}: {expected}")
+        if not fields and os.path.isdir(given):
+            self.text, self.ends = f"{given}/{{folder}}/{{stem}}", [*endings]
+        elif not fields:
+            os.stat(given)
+            accepted = endings if column == "distance" else (*endings, *formats.SHARED)
+            if Path(given).suffix.lower() not in accepted:
+                raise ValueError(f"{column}: expected {', '.join(accepted)}, got {given}")
+
+    def of(self, path: Path, place: Path, split: str) -> Path | None:
+        """The file of a picture, by its path, its path below the folder of pictures, and the folder
+        that its split is named by.
+        """
+        name = self._named(place, split)
+        there = [file for end in self.ends if (file := self.files.at(f"{name}{end}")) is not None]
+        if path.suffix.lower() != ".exr":  # which may be its own map
             there = [file for file in there if os.path.abspath(file) != os.path.abspath(path)]
         if len(there) > 1:
-            got = f"{path} may have {there[0]} or {there[1]}"
-            raise ValueError(f"{column}: {got}: give a pattern, such as {pattern}/{{stem}}.png")
+            cure = f"give a pattern, such as {self.given}/{{stem}}.png"
+            raise ValueError(f"{self.column}: {path} may have {there[0]} or {there[1]}: {cure}")
         return there[0] if there else None
 
-    return file_of
-
-
-def _named(pattern: str | Path, place: Path, split: str) -> str:
-    """The path that a pattern names for a picture at a place below the folder of pictures."""
-    values = {"stem": place.stem, "folder": str(place.parent), "split": split}
-    return os.path.normpath(_FIELD.sub(lambda match: values[match[1]], str(pattern)))
-
-
-def _require_found(
-    column: str, given: str | Path | None, rows: Sequence[Row], endings: Sequence[str]
-) -> None:
-    """Refuse a folder or a pattern by which no picture has a file, or two have the same."""
-    if given is None:
-        return
-    files = [getattr(row, column) for row in rows]
-    if not any(files):
-        place = Path(rows[0].name)
-        expected = _named(given, place, rows[0].split)
-        if Path(given).is_dir():
-            expected = f"{Path(given, place).with_suffix('')}, ending in {', '.join(endings)}"
-        got = f"{given} has a file for no picture: expected such as {expected}"
-        cure = f"give a pattern with {{stem}}, or a table (.csv) with a column {column}"
-        raise ValueError(f"{column}: {got}: {cure}")
-    if "{stem}" in str(given) or Path(given).is_dir():
+    def require_found(self, rows: Sequence[Row]) -> None:
+        """Refuse a folder or a pattern by which no picture has a file, or two have the same."""
+        files = [getattr(row, self.column) for row in rows]
+        if not any(files):
+            expected = self._named(Path(rows[0].name), rows[0].split)
+            expected += f", ending in {', '.join(self.ends)}" if self.ends[1:] else ""
+            got = f"{self.given} has a file for no picture: expected such as {expected}"
+            cure = f"give a pattern with {{stem}}, or a table (.csv) with a column {self.column}"
+            raise ValueError(f"{self.column}: {got}: {cure}")
         takers: dict[Path, str] = {}
         for row, file in zip(rows, files, strict=True):
-            if file is not None and takers.setdefault(file, row.name) != row.name:
+            is_of_one = file is not None and "{stem}" in self.text
+            if is_of_one and takers.setdefault(file, row.name) != row.name:
                 got = f"{file} may be of {takers[file]} or {row.name}"
-                raise ValueError(f"{column}: {got}: write a table with the column {column}")
+                raise ValueError(
+                    f"{self.column}: {got}: write a table with the column {self.column}"
+                )
+
+    def _named(self, place: Path, split: str) -> str:
+        values = {"stem": place.stem, "folder": str(place.parent), "split": split}
+        return str(Path(_FIELD.sub(lambda match: values[match[1]], self.text)))
 
 
 def _require_own(column: str, rows_of: Mapping[Path, Sequence[Row]], count: int) -> None:
@@ -355,10 +345,6 @@ def _relative(file: Path, folder: str) -> str:
         return Path(os.path.relpath(absolute(file), folder)).as_posix()
     except ValueError:  # on another drive of Windows
         return absolute(file).as_posix()
-
-
-def _listed(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:2])}{' and others' * (len(names) > 2)}"
 
 
 def _timed(rows: Sequence[Row]) -> list[Row]:

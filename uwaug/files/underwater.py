@@ -28,6 +28,8 @@ from uwaug.transforms.truth import MAPS, Truth
 
 _CONTRAST_ROWS = 128  # rows of the short side, about, that give the mean contrast of a picture
 
+_WHITE_OF_12_BITS = 4095 / 65535  # that are stored in 16 as they are
+
 
 def degrade(
     recipe: Recipe,
@@ -75,10 +77,8 @@ def degrade(
     if isinstance(source, MadeUp) and any(row.film for row in rows):
         raise ValueError("distance made up from each frame would flicker: give files, or metres")
     labels = open_labels(rows, recipe.classes)
-    for name in ("min_contrast", "classes"):
-        if labels is None and getattr(recipe, name) is not None:
-            flag = f"--{name.replace('_', '-')}"
-            raise ValueError(f"{name} ({flag}) is of labels, of which none are given")
+    if labels is None and {recipe.min_contrast, recipe.classes} != {None}:
+        raise ValueError("min_contrast and classes are of labels, of which none are given")
     return run(
         _Underwater(recipe, out),
         list(_jobs(recipe, rows, labels)),
@@ -125,8 +125,7 @@ def replay(
     record_versions = {name: entries[name] for name in versions()}
     if record_versions != versions():
         got = " and ".join(f"{name} {version}" for name, version in record_versions.items())
-        cure = "defaults and last bits may differ"
-        warnings.warn(f"{record} was written by {got}: {cure}", stacklevel=2)
+        warnings.warn(f"{record} was written by {got}: last bits may differ", stacklevel=2)
     recipe = codec.from_plain(entries["recipe"], Recipe)
     cells = entries["row"]
     for name, new_path in (("picture", picture), ("distance", distance)):
@@ -173,26 +172,31 @@ class _Underwater(Work):
         solid = scenes.metres[:, 0, ::step, ::step] < FARTHEST  # open water hides nothing
         # a picture that is left alone has no metres
         faint = (contrast < FAINT)[solid] if len(solid) else contrast[:0]
+        lost = float(faint.sum()) / max(faint.numel(), 1)
         clarity = scenes.clarity(0)
         truth = None if self.recipe.maps is None else scenes.truth()
         objects = []
         if labels is not None:
             objects = judged(labels, row.name, contrast, self.recipe.min_contrast)
-        asked = ["turned"] if turn > 1 and (z is not None or labels is not None) else []
         source = transform.distance
         may_have_holes = isinstance(source, (Relative, Inverse)) and source.holes == "error"
-        if may_have_holes and z is not None and bool(of_shares(z).any()):
-            asked.append("alone")
+        is_coded = image.is_floating_point() and row.picture.suffix.lower() != ".exr"
+        applies = {
+            "blank": lost > 0.5,
+            "dark": is_coded and 0 < float(image.max()) <= _WHITE_OF_12_BITS,
+            "turned": turn > 1 and (z is not None or labels is not None),
+            "alone": may_have_holes and z is not None and bool(of_shares(z).any()),
+        }
         return (degraded, truth), {
             "params": params,
             "color_space": transform.development.color_space,
             "contrast": round(float(contrast.double().mean()), 4),
-            "lost": round(float(faint.sum()) / max(faint.numel(), 1), 4),
+            "lost": round(lost, 4),
             "clarity": clarity and clarity.record(),
             "odd": clarity.odd if clarity else "",
             "truth": truth and truth.record(),
             "objects": [label._asdict() for label in objects],
-            "asked": asked,
+            "asked": [question for question, is_so in applies.items() if is_so],
         }
 
     def write(self, path: Path, result: tuple[Tensor, Truth | None], row: Row) -> None:

@@ -44,8 +44,8 @@ class Yolo(PerPicture):
         source = classes or next(filter(Path.is_file, places), None)
         if source is None and len(counts) == 1 and min(counts) > 6:
             got = f"objects of {min(counts)} numbers are polygons, or have keypoints"
-            cure = "name classes (--classes), a data.yaml with kpt_shape: [how many, 2 or 3]"
-            raise ValueError(f"{root}: {got}: {cure}, or of polygons with nothing but names")
+            cure = "give a data.yaml (--classes), of keypoints with kpt_shape: [how many, 2 or 3]"
+            raise ValueError(f"{root}: {got}: {cure}")
         if source is None:
             return labels
         described = replace(labels, description=_read(source), source=source)
@@ -169,8 +169,7 @@ def _first_count(file: Path) -> int:
     try:
         return len([float(word) for word in read_text(file).strip().partition("\n")[0].split()])
     except ValueError as error:
-        others = "DOTA, KITTI, MOT and VisDrone are written otherwise: convert them"
-        raise ValueError(f"{file}: {error}: expected class cx cy w h; {others}") from None
+        raise ValueError(f"{file}: {error}: expected class cx cy w h, as YOLO has it") from None
 
 
 def _lines(file: Path) -> list[str]:
