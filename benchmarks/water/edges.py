@@ -342,5 +342,6 @@ def main(kit: Path) -> dict[str, Any]:
             results["tank"][f"contrast {low:g} to {high:g}"] = {"pairs": len(some), **medians}
     for part, rows in results.items():
         for name, row in rows.items():
-            print(part, name, row)
+            cells = row.items() if isinstance(row, dict) else [("amplitude", row)]
+            print(part, name, *(f"{key}: {np.round(value, 2).tolist()};" for key, value in cells))
     return results
