@@ -11,7 +11,7 @@ be the ray's nearest point to the lamp and h the distance there. In the angle θ
 that the lamp sees, ds/r² is dθ/h (Kulla & Fajardo 2012, equiangular). With t = tan(θ/2), which
 needs no angles,
 
-    s + r = s₀ + h·(1 + t)/(1 − t)        dθ = 2/(1 + t²) dt
+    s + r = s₀ − h + 2·h/(1 − t)          dθ = 2/(1 + t²) dt
     −cos α = sin θ = 2t/(1 + t²)          cos θ = (1 − t²)/(1 + t²)
 
 The integrand is smooth within the cone, whose ends in t are known: a few nodes serve.
@@ -34,24 +34,22 @@ MIN_LENGTH = 1e-6  # length that stands for 0
 
 
 class Cone(NamedTuple):
-    """Cone of a lamp as the rays (1x1xHxW) cross it: cos ψ = across·cos θ + along·sin θ."""
+    """Cone of a lamp as the rays (1x1xHxW) cross it: across·cos θ + along·sin θ = slope·cos ψ."""
 
     across: Tensor
     along: Tensor
-    inner: float  # cosine of the angle ψ at which the light begins to fade
-    outer: float  # the same where it has faded
+    edge: float  # slope·cos ψ at which the light has faded; it is whole from edge + 1 on
 
     def share(self, cosine: Tensor, sine: Tensor) -> Tensor:
         """Share of the light at angles θ."""
-        toward = torch.addcmul(self.along * sine, self.across, cosine)
-        t = ((toward - self.outer) * (1 / (self.inner - self.outer))).clamp(0.0, 1.0)
+        t = (torch.addcmul(self.along * sine, self.across, cosine) - self.edge).clamp(0.0, 1.0)
         return t * t * (3 - 2 * t)
 
     def ends(self) -> tuple[Tensor, Tensor]:
         """Ends of the lit part of each ray, as t = tan(θ/2), −1…1; equal ends for a dark ray."""
         size = (self.across.square() + self.along.square()).sqrt().clamp(min=MIN_LENGTH)
         across, along = self.across / size, self.along / size
-        cosine = (self.outer / size).clamp(max=1.0)
+        cosine = (self.edge / size).clamp(max=1.0)
         sine = (1 - cosine.square()).sqrt()
         # (across, along) is the direction of the axis, from which the cone reaches either way
         side = torch.where(along > 0, 1.0, -1.0)
@@ -90,19 +88,19 @@ def backscatter(
     half = ((high - low) / 2).clamp(min=0.0)
     middle = low + half
     rates, total = G[..., None, None], z.new_zeros(())
-    # s + r = (s₀ − h) + 2h/(1 − t); fused products, as each pass over the picture takes time
     shortest, twice = density * (nearest - height), 2 * density * height
-    isotropic = z.new_tensor(1 + ASYMMETRY**2)
     for node, weight in zip(NODES, NODE_WEIGHTS, strict=True):
         t = torch.add(middle, half, alpha=node)
-        share = 1 / (1 + t * t)
-        half_sine = t * share
-        root = torch.add(isotropic, half_sine, alpha=4 * ASYMMETRY).rsqrt()
-        scattered = root * root * root * share
+        turned = 2 / (1 + t * t)  # dθ for each dt, and 1 + cos θ
+        sine = t * turned
+        factor = weight ** (-2 / 3)  # puts the weight into the phase function, without a pass
+        level = z.new_tensor(factor * (1 + ASYMMETRY**2))
+        phase = torch.add(level, sine, alpha=2 * factor * ASYMMETRY)
+        scattered = turned / (phase * phase.sqrt())
         if cone is not None:
-            scattered = scattered * cone.share(2 * share - 1, 2 * half_sine)
-        arriving = decay(rates, torch.addcmul(shortest, twice, 1 / (1 - t)))
-        total = torch.addcmul(total, scattered, arriving, value=weight)
-    # the 4π of the phase function and the π of a white plate leave 1/4, and dθ is 2/(1 + t²) dt
+            scattered = scattered * cone.share(turned - 1, sine)
+        arriving = decay(rates, shortest + twice / (1 - t))
+        total = torch.addcmul(total, scattered, arriving)
+    # the 4π of the phase function and the π of a white plate leave 1/4
     summed = torch.unflatten(weights @ total.flatten(2), -1, z.shape[-2:])
-    return summed * (density * half / height * ((1 - ASYMMETRY**2) / 2))
+    return summed * (density * half / height * ((1 - ASYMMETRY**2) / 4))

@@ -86,9 +86,11 @@ class Lamp:
         inverse = squared.rsqrt()
         share, cone = inverse.square(), None
         if self.cone is not None:
-            along = rays.along(self.axis)
-            before = sum(x * y for x, y in zip(self.position, self.axis, strict=True))
-            cone = Cone((nearest * along - before) / height, along, *self.fade)
+            inner, outer = self.fade
+            slope = 1 / (inner - outer)
+            along = slope * rays.along(self.axis)
+            before = slope * sum(x * y for x, y in zip(self.position, self.axis, strict=True))
+            cone = Cone((nearest * along - before) / height, along, slope * outer)
             share = share * cone.share(height * inverse, beyond * inverse)
         return Sent(share, squared * inverse, nearest, height, cone)
 
