@@ -173,10 +173,8 @@ def speed() -> str:
     first, lit = throughput["first_picture_s"], throughput["lamps"]["512"]
     paragraphs = [
         "`throughput`: milliseconds for a float32 picture with measured distances and a field, one "
-        "thread, by the loops:",
-        _single(throughput["single"]),
-        "A DataLoader with two workers, pictures/s:",
-        _loaders(throughput["loader"]),
+        "thread, by the loops; and pictures/s of a DataLoader with two workers:",
+        _times_and_rates(throughput["single"], throughput["loader"]),
         f"The first draw of a process takes {first:.1f} s. Lamps take "
         f"{lit['loops, lit by lamps']:.1f} times as long as daylight by the loops and "
         f"{lit['PyTorch, lit by lamps']:.1f} times by PyTorch.",
@@ -185,20 +183,15 @@ def speed() -> str:
     return "\n\n".join(paragraphs)
 
 
-def _single(sizes: list[Results]) -> str:
+def _times_and_rates(single: list[Results], loader: Results) -> str:
     rows = []
-    for name in sizes[0]["ms"]:
-        if name.endswith("uint8"):  # as fast
-            continue
-        times = [f"{size['ms'][name]['median_ms']:.1f}" for size in sizes]
-        rows.append([name.removesuffix(", float32"), *times])
-    return table(["", *(f"{size['size']}²" for size in sizes)], rows)
-
-
-def _loaders(sizes: Results) -> str:
-    names = next(iter(sizes.values()))
-    rows = [[name, *(f"{rates[name]:.0f}" for rates in sizes.values())] for name in names]
-    return table(["", *(f"{size}²" for size in sizes)], rows)
+    for name in next(iter(loader.values())):
+        times = [size["ms"].get(f"{name}, float32") for size in single]
+        cells = [f"{time['median_ms']:.1f}" if time else "–" for time in times]
+        cells += [f"{rates[name]:.0f}" for rates in loader.values()]
+        rows.append([name, *cells])
+    head = [f"{size['size']}², ms" for size in single] + [f"{size}², /s" for size in loader]
+    return table(["", *head], rows)
 
 
 def _device(rates: Results) -> str:
@@ -257,15 +250,11 @@ def detector() -> str:
         title = key.split("/")[1].replace("val", "air")
         columns[f"{title} ({found['sets'][key]['pictures']} pictures)"] = rows
     nets = max(len(row["nets"]) for row in next(iter(columns.values())).values())
-    halves = ", ".join(
-        f"{name} at {of['half']:.0f} ({of['interval'][0]:.0f}–{of['interval'][1]:.0f})"
-        for name, of in markers["curves"].items()
-    )
     return (
         f"{nets} nets an arm, {found['steps']} steps of {found['batch']} pictures at "
         f"{found['side']} px. AP50 of persons:\n\n"
         + _gains("tuned on", columns, ("blocks",))
-        + f"\n\n**Markers**, half as many read as at high contrast: {halves} of 255 levels.\n\n"
+        + "\n\n**Markers**: how many are read, and where half as many as at high contrast.\n\n"
         "![Share of tags that are read against contrast: film and uwaug](figures/markers.png)\n\n"
         + _readers(markers["readers"])
     )
