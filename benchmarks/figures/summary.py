@@ -157,11 +157,10 @@ def stability() -> str:
 
     others = counts.keys() - {"uwaug", "published"}
     paragraphs = [
-        f"`python -m benchmarks stability` judges methods in {conditions} hard conditions, from "
-        f"z = 0 and z = +∞ to NaN and float16. Right are {best(['uwaug'], 'value')} and "
-        f"{best(['uwaug'], 'gradient')} of uwaug; {best(['published'], 'value')} of published "
-        f"code; of other ways to compute a part {best(others, 'value')} and "
-        f"{best(others, 'gradient')} at best:",
+        f"`python -m benchmarks stability` judges methods in {conditions} hard conditions. Right "
+        f"are {best(['uwaug'], 'value')} and {best(['uwaug'], 'gradient')} of uwaug; "
+        f"{best(['published'], 'value')} of published code; of other ways to compute a part "
+        f"{best(others, 'value')} and {best(others, 'gradient')} at best:",
         "![Methods against hard conditions: value and gradient of each](figures/stability.svg)",
     ]
     return "\n\n".join(paragraphs)
