@@ -253,7 +253,7 @@ def detector() -> str:
         f"{nets} nets an arm, {found['steps']} steps of {found['batch']} pictures at "
         f"{found['side']} px. AP50 of persons:\n\n"
         + _gains("tuned on", columns, ("blocks",))
-        + "\n\n**Markers**: how many are read, and where half as many as at high contrast.\n\n"
+        + "\n\n**Markers** that OpenCV reads:\n\n"
         "![Share of tags that are read against contrast: film and uwaug](figures/markers.png)\n\n"
         + _readers(markers["readers"])
     )
