@@ -39,15 +39,6 @@ def test_a_water_that_absorbs_nothing(b: float) -> None:
     assert medium.backscatter(torch.tensor(math.inf)).isfinite().all()
 
 
-def test_the_camera_counts() -> None:
-    nikon, sigma = (Medium.from_water("II", camera) for camera in (reference.NIKON, SIGMA))
-    z = torch.tensor(5.0)
-    assert (nikon.transmission(z) - sigma.transmission(z)).abs().max() > 0.01
-    b = Water.jerlov("II").at(reference.BANDS).b
-    b_mean = (b @ load_camera(reference.NIKON).weights(reference.BANDS)).mean()
-    assert float(nikon.b_mean) == pytest.approx(b_mean, rel=1e-12)
-
-
 def test_a_water_under_a_lamp() -> None:
     water, z = Water.jerlov("3C"), torch.from_numpy(Z)
     deep = Medium.from_water(water, vertical_depth=30.0, tolerance=0, g=0.2).under_lamp()
