@@ -94,7 +94,6 @@ def planar(view: View) -> None:
     augment(rand(3, *SIZE).float(), torch.ones(1, *SIZE))
 
 
-# Millimetres of a lens, too.
 test_what_is_refused = refusals(
     (lambda: View(180.0), r"view: degrees must be in \[1, 170\], got 180"),
     (lambda: View(focal_px=0.0), "view: focal_px must be finite and > 0"),
@@ -102,7 +101,8 @@ test_what_is_refused = refusals(
     (lambda: View(center=3.0), "view: center must be"),
     (lambda: View(center=(math.nan, 3.0)), "view: center must be finite"),
     (lambda: RandomUnderwater(view="wide"), r"view must be a uwaug\.View, got str"),
-    (lambda: planar(View(focal_px=2.8)), "focal_px must be in px of the picture, .* got 2.8"),
+    # of a lens, in millimetres
+    (planar, View(focal_px=2.8), "focal_px must be in px of the picture, .* got 2.8"),
 )
 
 
