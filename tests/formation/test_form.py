@@ -12,29 +12,9 @@ from referees.terms import check
 from scenes import LAW, coefficients, rand, stepped, uniform
 from torch import Tensor
 
-from uwaug import Development, Medium, PointSpread, Terms, Underwater, Water, form_image
+from uwaug import Development, Medium, PointSpread, Terms, Underwater, form_image
 from uwaug.formation.image import form
 from uwaug.formation.setting import Setting
-
-
-@pytest.mark.parametrize(
-    "water, depth, g, mu",
-    [("I", 1.0, 0.2, 0.3), ("3C", 5.0, 0.0, 0.3), ("9C", 0.0, 0.5, 1.0)],
-)
-def test_the_three_terms_from_spectra(water: str, depth: float, g: float, mu: float) -> None:
-    image = torch.from_numpy(reference.picture(40, 52))[None]
-    z = stepped(1, 1, 40, 52) * (0.7 + 0.6 * rand(1, 1, 40, 52))
-    numbers = {"g": g, "mu": mu}
-    options = {"vertical_depth": depth, "point_spread": PointSpread(2.5, 0.6), **numbers}
-    path = z[0, 0].numpy()
-    curves = reference.spectral_curves(Water.jerlov(water), path, depth=depth, **numbers)
-    sigma = 2.5 * (float(Medium.from_water(water, **options).b_mean) * path) ** 0.6
-    direct, forward, veil = reference.terms(image[0].numpy(), path, curves, sigma)
-    for tolerance, bound in ((0, 1e-12), (0.002, 0.002)):
-        terms = form_image(image, z, Medium.from_water(water, tolerance=tolerance, **options))
-        assert np.abs(terms.direct[0].numpy() - direct).max() <= bound
-        assert np.abs(terms.backscatter[0].numpy() - veil).max() <= bound
-        assert reference.psnr(terms.forward[0], forward) >= 54
 
 
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
