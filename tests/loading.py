@@ -4,33 +4,13 @@ sent by name.
 
 import json
 
-import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
 from uwaug import RandomUnderwater
 
-SIZE = 48
-
-
-class Crops(Dataset[tuple[Tensor, Tensor, int]]):
-    """Crops of a scene: picture (3xSxS, 0…1), distance (1xSxS, m), and its number."""
-
-    def __init__(self, image: Tensor, distance: Tensor, count: int = 16) -> None:
-        generator = torch.Generator().manual_seed(0)
-        height, width = image.shape[-2:]
-        rows = torch.randint(height - SIZE, (count,), generator=generator).tolist()
-        columns = torch.randint(width - SIZE, (count,), generator=generator).tolist()
-        self.items = []
-        for number, (y, x) in enumerate(zip(rows, columns, strict=True)):
-            window = (slice(None), slice(y, y + SIZE), slice(x, x + SIZE))
-            self.items.append((image[window].clone(), distance[window].clone(), number))
-
-    def __len__(self) -> int:
-        return len(self.items)
-
-    def __getitem__(self, index: int) -> tuple[Tensor, Tensor, int]:
-        return self.items[index]
+Crops = list[tuple[Tensor, Tensor]]
+"""Of a scene: picture (3xHxW, 0…1) and distance (1xHxW, m)."""
 
 
 class Pairs(Dataset[tuple[Tensor, Tensor, str]]):
@@ -43,7 +23,7 @@ class Pairs(Dataset[tuple[Tensor, Tensor, str]]):
         return len(self.crops)
 
     def __getitem__(self, index: int) -> tuple[Tensor, Tensor, str]:
-        clean, distance, _ = self.crops[index]
+        clean, distance = self.crops[index]
         record = self.augment.make_params(clean)
         return clean, self.augment.transform(clean, distance, record), json.dumps(record)
 

@@ -13,7 +13,8 @@ import kornia
 import numpy as np
 import torch
 import torch.nn.functional as F
-from referees.conditions import FARTHEST, Case, Method, sampled_parameter, spread
+from referees.conditions import FARTHEST, Case, Method, spread
+from referees.reference import matched
 from torch import Tensor
 
 from benchmarks import recipe
@@ -94,7 +95,7 @@ def _gaussian(
     if border == "symmetric":
         sigma = min(sigma, 4.0 * max(image.shape[-2:]))  # wider ones give the mean
     radius = max(1, math.ceil(4 * sigma)) if radius is None else radius
-    parameter = float(sampled_parameter(np.array(sigma))) if corrected else sigma
+    parameter = max(float(matched(np.array([sigma]))[0]), 1e-3) if corrected else sigma
     taps = torch.exp(-0.5 * (torch.arange(-radius, radius + 1) / torch.tensor(parameter)) ** 2)
     kernel = (taps / taps.sum()).to(image.dtype)
     for _ in range(2):  # along rows, transposed, twice

@@ -1,16 +1,15 @@
-"""Pictures, media and ranges at random, against a referee that shares nothing with the package."""
+"""Pictures, media and ranges at random, against the equations, and the blur of benchmarks."""
 
 import numpy as np
 import pytest
 import torch
-from referees import blur as referee
 from referees import reference
+from referees.reference import BANDS
 from scenes import SIZES, rand
 
 from benchmarks.exact import blur_exact
 from uwaug import Camera, Medium, PointSpread, Water, form_image
 
-BANDS = np.arange(400.0, 701.0, 5.0)
 TOLERANCES = (0.01, 0.002, 0.0005, 0.0001)
 
 
@@ -28,53 +27,31 @@ def spectrum(generator: np.random.Generator, low: float, high: float) -> np.ndar
     return np.interp(BANDS, places, generator.uniform(low, high, 5))
 
 
-def water(generator: np.random.Generator) -> referee.Water:
-    """Spectra that no table holds."""
-    dirt = 10 ** generator.uniform(-1.5, 0.2)
-    a = spectrum(generator, 0.02, 0.02 + 0.4 * dirt)
-    peaks = generator.uniform((570, 510, 430), (630, 560, 480))
-    widths = generator.uniform(20, 50, 3)
-    response = np.exp(-0.5 * ((BANDS - peaks[:, None]) / widths[:, None]) ** 2)
-    return referee.Water(
-        a=a,
-        b=spectrum(generator, 0.7 * dirt, dirt),
-        kd=a + spectrum(generator, 0.0, 0.6 * dirt),
-        response=response / response.sum(1, keepdims=True),
-        depth=generator.uniform(0, 3),
-        g=generator.uniform(0, 0.5),
-        mu=generator.uniform(0, 0.5),
-    )
-
-
-def ours(given: referee.Water, law: referee.Law, tolerance: float) -> Medium:
-    """The same as a medium of the package."""
-    spectra = Water(BANDS, given.a, given.b, given.kd)
-    return Medium.from_water(
-        spectra,
-        Camera(BANDS, given.response.T),
-        vertical_depth=given.depth,
-        g=given.g,
-        mu=given.mu,
-        point_spread=PointSpread(law.scale, law.exponent, law.shape),
-        tolerance=tolerance,
-    )
-
-
 @pytest.mark.parametrize("shape", ["gaussian", "exponential"])
 @pytest.mark.parametrize("seed", range(8))
 def test_every_picture_is_right_within_its_tolerance(seed: int, shape: str) -> None:
     generator = np.random.default_rng((seed, shape == "gaussian"))
     h, w = (int(size) for size in generator.integers(8, 28, 2))
     J, z = reference.picture(h, w, seed).clip(0, 1), scene(generator, h, w)
-    given = water(generator)
+    # spectra and a camera that no table holds
+    dirt = 10 ** generator.uniform(-1.5, 0.2)
+    a, b = spectrum(generator, 0.02, 0.02 + 0.4 * dirt), spectrum(generator, 0.7 * dirt, dirt)
+    water = Water(BANDS, a, b, a + spectrum(generator, 0.0, 0.6 * dirt))
+    peaks = generator.uniform((570, 510, 430), (630, 560, 480))
+    seen = np.exp(-0.5 * ((BANDS[:, None] - peaks) / generator.uniform(20, 50, 3)) ** 2)
+    seen /= seen.sum(0)
+    depth, g, mu = generator.uniform(0, (3, 0.5, 0.5))
     # widths from a fiftieth of a pixel to the whole picture at the farthest distance
+    lengths = float((b @ seen).mean()) * z
     exponent, widest = generator.uniform(0.5, 1.2), 10 ** generator.uniform(-1.7, 1.5)
-    scale = widest / given.lengths(z.max()) ** exponent
-    law = referee.Law(float(scale), exponent, shape)
-    exact = referee.terms(J, z, given, law)
+    scale = float(widest / lengths.max() ** exponent)
+    curves = reference.spectral_curves(water, z, depth=depth, g=g, mu=mu, camera=seen)
+    exact = reference.terms(J, z, curves, scale * lengths**exponent, shape)
+    law = PointSpread(scale, exponent, shape)
     image, distance = torch.from_numpy(J), torch.from_numpy(z)[None]
+    numbers = {"vertical_depth": depth, "g": g, "mu": mu, "point_spread": law}
     for tolerance in TOLERANCES:
-        medium = ours(given, law, tolerance / 10)
+        medium = Medium.from_water(water, Camera(BANDS, seen), tolerance=tolerance / 10, **numbers)
         found = form_image(image, distance, medium, tolerance=tolerance)
         parts = (found.direct, found.forward, found.backscatter)
         names = ("direct", "forward", "backscatter")

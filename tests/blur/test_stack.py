@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 from referees import reference
+from refusing import refusals
 from scenes import SIZES, constant, rand
 
 from uwaug import Medium, PointSpread, form_image
@@ -100,37 +101,25 @@ def test_gradcheck(low, high) -> None:
         assert check(lambda x, s: varying_blur(x, s, plan), (image, sigma))
 
 
-def test_widths_of_the_exponential_vary_too() -> None:
-    image = reference.picture(60, 60)
-    levels = np.array([1.0, 2.0, 4.0, 8.0])
-    index = np.random.default_rng(0).integers(0, 4, (60, 60))
-    exact = np.choose(index, [reference.exponential(image, s) for s in levels])
-    sigma = torch.from_numpy(levels[index])[None, None]
-    plan = plan_blur(1.0, 8.0, 0.002, "exponential")
-    result = varying_blur(torch.from_numpy(image)[None], sigma, plan)
-    assert reference.psnr(result[0], exact) >= 57
-
-
 IMAGE, SIGMA = torch.rand(2, 3, 6, 8), torch.rand(2, 1, 6, 8)
-WRONG = [
-    (IMAGE, SIGMA * math.nan, ValueError, "sigma"),
-    (IMAGE, -SIGMA, ValueError, "sigma"),
-    (IMAGE, SIGMA + math.inf, ValueError, "sigma"),
-    (IMAGE, SIGMA[..., :4], ValueError, "sigma"),
-    (IMAGE, SIGMA[0, 0], ValueError, "sigma"),
-    (IMAGE, SIGMA.expand(-1, 3, -1, -1), ValueError, "sigma"),
-    (IMAGE, SIGMA.repeat(2, 1, 1, 1)[:3], ValueError, "sigma"),
-    (IMAGE[0], SIGMA, ValueError, "image"),
-    ((IMAGE * 255).byte(), SIGMA, TypeError, "image"),
-    (IMAGE.numpy(), SIGMA, TypeError, "image"),
-    (IMAGE, 2.0, TypeError, "sigma"),
-]
-
-
-@pytest.mark.parametrize("image, sigma, error, match", WRONG)
-def test_varying_blur_refuses(image, sigma, error, match) -> None:
-    with pytest.raises(error, match=match):
-        varying_blur(image, sigma, NO_BLUR)
+BATCHES = IMAGE, SIGMA.repeat(2, 1, 1, 1)[:3]
+test_wrong_values_are_refused = refusals(
+    (varying_blur, IMAGE, SIGMA * math.nan, NO_BLUR, "sigma"),
+    (varying_blur, IMAGE, -SIGMA, NO_BLUR, "sigma"),
+    (varying_blur, IMAGE, SIGMA + math.inf, NO_BLUR, "sigma"),
+    (varying_blur, IMAGE, SIGMA[..., :4], NO_BLUR, "sigma"),
+    (varying_blur, IMAGE, SIGMA[0, 0], NO_BLUR, "sigma"),
+    (varying_blur, IMAGE, SIGMA.expand(-1, 3, -1, -1), NO_BLUR, "sigma"),
+    (varying_blur, *BATCHES, NO_BLUR, "sigma"),
+    (varying_blur, IMAGE[0], SIGMA, NO_BLUR, "image"),
+    error=ValueError,
+)
+test_wrong_types_are_refused = refusals(
+    (varying_blur, (IMAGE * 255).byte(), SIGMA, NO_BLUR, "image"),
+    (varying_blur, IMAGE.numpy(), SIGMA, NO_BLUR, "image"),
+    (varying_blur, IMAGE, 2.0, NO_BLUR, "sigma"),
+    error=TypeError,
+)
 
 
 def test_varying_blur_of_an_empty_batch() -> None:

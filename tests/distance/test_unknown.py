@@ -67,11 +67,10 @@ def test_infinity_among_near_pixels_is_unknown(rows: slice, is_lidar: bool) -> N
         assert torch.equal(source.metres(lidar, picture(), {}), lidar)
 
 
-def test_millimetres_are_told_from_a_sky() -> None:
+@pytest.mark.parametrize("z", [sky(65535.0, z=1000 * floor()), torch.full((1, H, W), 3000.0)])
+def test_millimetres_are_told_from_a_sky(z: Tensor) -> None:
     with pytest.raises(ValueError, match="divide by 1000"):
-        transformed(sky(65535.0, z=1000 * floor()))
-    with pytest.raises(ValueError, match="divide by 1000"):
-        transformed(torch.full((1, H, W), 3000.0))
+        transformed(z)
 
 
 TRUE: dict[str, Tensor] = {

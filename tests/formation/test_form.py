@@ -1,7 +1,7 @@
 """Image formation against the equations: terms, their sum, batches, width laws."""
 
-import itertools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,32 +9,12 @@ import pytest
 import torch
 from referees import reference
 from referees.terms import check
-from scenes import coefficients, rand, stepped
+from scenes import LAW, coefficients, rand, stepped, uniform
 from torch import Tensor
 
-from uwaug import Development, Medium, PointSpread, Underwater, Water, form_image
+from uwaug import Development, Medium, PointSpread, Terms, Underwater, form_image
 from uwaug.formation.image import form
 from uwaug.formation.setting import Setting
-
-
-@pytest.mark.parametrize(
-    "water, depth, g, mu",
-    [("I", 1.0, 0.2, 0.3), ("3C", 5.0, 0.0, 0.3), ("9C", 0.0, 0.5, 1.0)],
-)
-def test_the_three_terms_from_spectra(water: str, depth: float, g: float, mu: float) -> None:
-    image = torch.from_numpy(reference.picture(40, 52))[None]
-    z = stepped(1, 1, 40, 52) * (0.7 + 0.6 * rand(1, 1, 40, 52))
-    numbers = {"g": g, "mu": mu}
-    options = {"vertical_depth": depth, "point_spread": PointSpread(2.5, 0.6), **numbers}
-    path = z[0, 0].numpy()
-    curves = reference.spectral_curves(Water.jerlov(water), path, depth=depth, **numbers)
-    sigma = 2.5 * (float(Medium.from_water(water, **options).b_mean) * path) ** 0.6
-    direct, forward, veil = reference.terms(image[0].numpy(), path, curves, sigma)
-    for tolerance, bound in ((0, 1e-12), (0.002, 0.002)):
-        terms = form_image(image, z, Medium.from_water(water, tolerance=tolerance, **options))
-        assert np.abs(terms.direct[0].numpy() - direct).max() <= bound
-        assert np.abs(terms.backscatter[0].numpy() - veil).max() <= bound
-        assert reference.psnr(terms.forward[0], forward) >= 54
 
 
 @pytest.mark.parametrize("surfaces", ["grey", "spectral"])
@@ -53,7 +33,8 @@ def test_batches_broadcast(batch: tuple[int, int, int]) -> None:
     images, maps, media = batch
     image = torch.from_numpy(np.stack([reference.picture(20, 36, seed) for seed in range(images)]))
     z = stepped(maps, 1, 20, 36)
-    medium = Medium.stack([coefficients(seed) for seed in range(media)])
+    laws = PointSpread(0.5, 0.5), PointSpread(3.0, 1.0), PointSpread(0.0)
+    medium = Medium.stack([coefficients(seed, laws[seed]) for seed in range(media)])
     terms = form_image(image, z, medium)
     assert terms.image.shape == (max(batch), 3, 20, 36)
     check(terms, image, z, medium)
@@ -62,32 +43,79 @@ def test_batches_broadcast(batch: tuple[int, int, int]) -> None:
     assert alone.shape == ((media,) if media > 1 else ()) + (3, 20, 36)
 
 
-@pytest.mark.parametrize(
-    "laws",
-    [
-        (PointSpread(0.5, 0.5), PointSpread(3.0, 1.0), PointSpread(0.0)),
-        (PointSpread(20.0, 0.5, unit="paper"),),
-        [PointSpread(0.03 * focal_px, 0.62, "exponential") for focal_px in (20.0, 55.0, 300.0)],
-    ],
-    ids=["of each image", "of the paper", "exponential"],
-)
-def test_width_laws(laws: Any) -> None:
-    medium = Medium.stack([coefficients(3, law) for law in laws])
-    image, z = torch.from_numpy(reference.picture(28, 44))[None], stepped(1, 1, 28, 44)
-    check(form_image(image, z, medium), image, z, medium)
+def water(name: str = "3C", **options: Any) -> Medium:
+    return Medium.from_water(name, **{"point_spread": LAW, "tolerance": 0, **options})
 
 
-def test_one_pixel_of_open_water_does_not_spoil_the_others() -> None:
-    # its distance stretches the range that the blur is planned for
-    image, z = torch.from_numpy(reference.picture(24, 24))[None], 4 + 8 * rand(1, 1, 24, 24)
-    z[..., 0, 0] = math.inf
-    laws = PointSpread(0.03 * 35.0, 0.62, "exponential"), PointSpread(2.0, 1.0)
-    for law, water in itertools.product(laws, ("I", "9C")):
-        medium = Medium.from_water(water, vertical_depth=0.0, point_spread=law)
-        terms = form_image(image, z, medium)
-        check(terms, image, z, medium)
-        veil = medium.veil_weights.sum(-1)[0]
-        torch.testing.assert_close(terms.image[0, :, 0, 0], veil, rtol=0, atol=1e-12)
+def spectra(**options: Any) -> Medium:
+    return water(surfaces="spectral", **options)
+
+
+def spread(*law: Any, **unit: Any) -> Medium:
+    return coefficients(law=PointSpread(*law, **unit))
+
+
+def same(z: Tensor) -> Tensor:
+    return z
+
+
+def open_water(z: Tensor) -> Tensor:
+    return torch.where(z > 3, math.inf, z)
+
+
+def one_pixel_of_open_water(z: Tensor) -> Tensor:
+    """Its distance stretches the range that the blur is planned for."""
+    far = 4 + z
+    far[..., 0, 0] = math.inf
+    return far
+
+
+TAILS = PointSpread(0.03 * 35.0, 0.62, "exponential")
+# a medium, and what becomes of the distances
+MEDIA: dict[str, tuple[Callable[[], Medium], Callable[[Tensor], Tensor]]] = {
+    "the lens and open water": (coefficients, lambda z: torch.where(z > 3, math.inf, 0.0).to(z)),
+    "absurdly far": (coefficients, lambda z: 1e20 * z),
+    "almost at the lens": (coefficients, lambda z: 1e-12 * z),
+    "nothing is lost, open water": (uniform(0.5, 0.0), open_water),
+    "no light is kept": (lambda: water(g=1.0), same),
+    "deep down": (lambda: water(vertical_depth=500.0), same),
+    "colours, reduced": (lambda: spectra(tolerance=0.002), same),
+    "colours, some open water": (spectra, open_water),
+    "colours deep down": (lambda: spectra(vertical_depth=500.0), same),
+    "colours, no light is kept": (lambda: spectra(g=1.0), same),
+    "optical depth 1e-4": (uniform(1e-4, 3e-5), same),
+    "widths of the paper": (lambda: spread(20.0, 0.5, unit="paper"), same),
+    "heavy tails": (lambda: spread(1.65, 0.62, "exponential"), same),
+    "narrow heavy tails": (lambda: spread(0.6, 0.62, "exponential"), same),
+    "wide heavy tails": (lambda: spread(9.0, 0.62, "exponential"), same),
+    "one far pixel": (lambda: water("9C", point_spread=PointSpread(2.0, 1.0)),
+                      one_pixel_of_open_water),
+    "one far pixel, heavy tails": (lambda: water("I", point_spread=TAILS), one_pixel_of_open_water),
+    "a blur far wider than the image": (lambda: spread(3000.0, 0.3), same),
+    "a steep width law, open water": (lambda: spread(0.5, 3.0), open_water),
+    "a flat width law": (lambda: spread(3.0, 0.3), lambda z: (z - 2).clamp(min=0)),
+    "a blur without end": (
+        uniform(0.5, 0.0, 0.2, 1.0, PointSpread(2.0, 1.0)),
+        lambda z: torch.logspace(-1, 9, 20).double().expand_as(z),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("name", MEDIA)
+def test_terms_are_right_and_slopes_finite(name: str, dtype: torch.dtype) -> None:
+    """At singular points beside those of the stability matrix, and under every law of widths."""
+    make, change = MEDIA[name]
+    medium, z = make(), change(stepped(1, 1, 16, 20)).to(dtype)
+    image = torch.from_numpy(reference.picture(16, 20)).to(dtype)[None]
+    leaves = [t.clone().requires_grad_() for t in (image, z, *medium.tensors()[:8])]
+    terms = form_image(*leaves[:2], Medium(*leaves[2:], law=medium.law))
+    detached = Terms(*(term.detach() for term in (*terms, terms.image)))
+    check(detached, image, z.double(), medium)
+    (terms.image * rand(1, 3, 16, 20, seed=9).to(dtype)).sum().backward()
+    for leaf_name, leaf in zip(("image", "distance", *Medium.TENSORS), leaves, strict=False):
+        assert leaf.grad is None or leaf.grad.isfinite().all(), leaf_name
+    assert all(leaf.grad is not None for leaf in leaves[:2])
 
 
 @pytest.mark.parametrize("tolerance", [0.02, 0.0002])

@@ -1,12 +1,10 @@
 """Cameras: responses, weights, names and files."""
 
-import copy
-import pickle
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusing import refusals
 
 from uwaug import Camera, load_camera
 
@@ -22,14 +20,6 @@ def toy(**changes):
         "name": "toy",
     }
     return Camera(**values | changes)
-
-
-def test_copies_are_equal_and_still_read_only():
-    camera = load_camera(NIKON)
-    for twin in (copy.deepcopy(camera), pickle.loads(pickle.dumps(camera))):
-        assert twin == camera
-        assert hash(twin) == hash(camera)
-        assert not any(array.flags.writeable for array in (twin.wavelengths, twin.response))
 
 
 def test_weights_are_rectangles_of_responses_between_and_dark_outside():
@@ -75,37 +65,10 @@ def test_csv(tmp_path, text):
     assert load_camera(path) == load_camera(str(path)) == toy()
 
 
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        (ROWS.replace(",", ":"), "line 1"),
-        ("frequency [THz],R,G,B\n" + ROWS, "wavelength in another unit"),
-        ("wavelength,B,G,R\n" + ROWS, "line 1"),
-        ("user,name,pass-word-of-mine,hunter2\n", "line 1"),
-    ],
+test_what_is_refused = refusals(
+    (lambda: toy(response=np.ones((3, 4))), r"shape \(3, 3\).*got \(3, 4\)"),
+    (lambda: toy(response=[[1] * 3, [np.nan, 1, np.inf], [1] * 3]), "nan at 500 nm, and 2 of 9"),
+    (lambda: toy(response=[[0, 1, 0]] * 3), "no response in red and blue"),
+    (load_camera, "Nikon D90", "Nikon 5100"),
+    (load_camera, 5100, "5100"),
 )
-def test_bad_csv(tmp_path, text, message):
-    path = tmp_path / "toy.csv"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=message) as info:
-        load_camera(path)
-    assert str(info.value).startswith(str(path))
-    assert "hunter2" not in str(info.value)  # its path may come from a preset of somebody else
-
-
-@pytest.mark.parametrize(
-    "call, message",
-    [
-        (lambda: toy(response=np.ones((3, 4))), r"shape \(3, 3\).*got \(3, 4\)"),
-        (
-            lambda: toy(response=[[1] * 3, [np.nan, 1, np.inf], [1] * 3]),
-            "got nan at 500 nm, and 2 of 9",
-        ),
-        (lambda: toy(response=[[0, 1, 0]] * 3), "no response in red and blue"),
-        (lambda: load_camera("Nikon D90"), "Nikon 5100"),
-        (lambda: load_camera(5100), "5100"),
-    ],
-)
-def test_what_is_refused(call, message):
-    with pytest.raises((TypeError, ValueError), match=message):
-        call()

@@ -6,6 +6,7 @@ import json
 import math
 import pickle
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,7 @@ import torch
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from referees import reference
+from refusing import refusals
 from scenes import CURVES, Z, coastal
 
 from uwaug import Lamp, Light, MarineSnow, Medium, PointSpread, Water, load_camera
@@ -35,21 +37,6 @@ def test_a_water_that_absorbs_nothing(b: float) -> None:
     torch.testing.assert_close(signal, torch.ones_like(signal), rtol=0, atol=1e-4)
     torch.testing.assert_close(direct, torch.exp(-b * z).expand(3, -1), rtol=0, atol=1e-12)
     assert medium.backscatter(torch.tensor(math.inf)).isfinite().all()
-
-
-def test_a_veil_brighter_than_white_is_said() -> None:
-    said = Medium.from_water("III", g=0.05, mu=0.3).notes[0]
-    assert re.search(r"; veil of 3\.\d times white$", said)
-    assert "times white" not in Medium.from_water("III", g=0.05).notes[0]
-
-
-def test_the_camera_counts() -> None:
-    nikon, sigma = (Medium.from_water("II", camera) for camera in (reference.NIKON, SIGMA))
-    z = torch.tensor(5.0)
-    assert (nikon.transmission(z) - sigma.transmission(z)).abs().max() > 0.01
-    b = Water.jerlov("II").at(reference.BANDS).b
-    b_mean = (b @ load_camera(reference.NIKON).weights(reference.BANDS)).mean()
-    assert float(nikon.b_mean) == pytest.approx(b_mean, rel=1e-12)
 
 
 def test_a_water_under_a_lamp() -> None:
@@ -173,21 +160,14 @@ def test_to_casts_every_tensor_and_keeps_gradients() -> None:
     assert scale.grad is not None
 
 
-COPIES = {
-    "copy": copy.deepcopy,
-    "pickle": lambda medium: pickle.loads(pickle.dumps(medium)),
-    "json": lambda medium: codec.from_plain(json.loads(json.dumps(codec.to_plain(medium))), Medium),
-}
-
-
-@pytest.mark.parametrize("twin", COPIES)
-def test_copies(twin: str) -> None:
+def test_copies() -> None:
     stack = Medium.stack([Medium.from_water(w, surfaces="spectral") for w in ("I", "II")])
     for medium in (coastal(), stack, Medium.from_coefficients(**COEFFICIENTS)):
-        again = COPIES[twin](medium)
-        pairs = zip(again.tensors(), medium.tensors(), strict=True)
-        assert all(torch.equal(a, b) for a, b in pairs)
-        assert (again.law, again.notes) == (medium.law, medium.notes)
+        stored = codec.from_plain(json.loads(json.dumps(codec.to_plain(medium))), Medium)
+        for again in (copy.deepcopy(medium), pickle.loads(pickle.dumps(medium)), stored):
+            pairs = zip(again.tensors(), medium.tensors(), strict=True)
+            assert all(torch.equal(a, b) for a, b in pairs)
+            assert (again.law, again.notes) == (medium.law, medium.notes)
 
 
 def test_arrays_and_the_tensors_that_are_made_of_them() -> None:
@@ -211,75 +191,67 @@ def test_arrays_and_the_tensors_that_are_made_of_them() -> None:
         medium.alpha  # noqa: B018
 
 
-def test_repr_says_what_has_changed() -> None:
-    medium = Medium.from_water("3C")
-    assert "3 times as much in the water" in repr(medium.with_contents(3))
-    assert "; brightened" in repr(medium.brightened(torch.tensor([4.0])))
-
-
 def test_repr_says_what_it_models() -> None:
-    text = repr(Medium.from_water("3C"))
+    text = repr(Medium.from_water("3C").with_contents(3).brightened(torch.tensor([4.0])))
     numbers = ("2 + 3 rates", "g = 0.05", "μ = 0.075", "0.03·(b̄ z)^0.62 focal lengths")
-    said = ("3C", "curves within", "exponential", *numbers)
+    changes = ("3 times as much in the water", "; brightened")
+    said = ("3C", "curves within", "exponential", *numbers, *changes)
     assert [part for part in said if part not in text] == []
     assert "2 more" in repr(Medium.stack([coastal()] * 3))
     assert "no blur" in repr(Medium.from_coefficients(**COEFFICIENTS))
+    said = Medium.from_water("III", g=0.05, mu=0.3).notes[0]
+    assert re.search(r"; veil of 3\.\d times white$", said)
+    assert "times white" not in Medium.from_water("III", g=0.05).notes[0]
     assert "61 + 61 rates" in repr(Medium.from_water("3C", tolerance=0))
 
 
 # ---- refusals
 
 
-WATERS: list[tuple[Any, dict[str, Any], str]] = [
-    ("II", {"vertical_depth": -1.0}, "vertical_depth.*-1"),
-    ("II", {"g": 1.1}, r"g must.*\[0, 1\].*1.1"),
-    ("II", {"tolerance": 1.0}, "tolerance.*1"),
-    ("II", {"camera": "Kodak"}, "camera must be one of .*Kodak"),
-    ("II", {"surfaces": "matt"}, "surfaces must be one of grey, spectral"),
-    ("sea", {}, r"water must be one of I, IA.*got 'SEA'"),
-    (Water([750, 800], a=[1, 1], b=[1, 1], kd=[1, 1]), {}, "no band of 400–700 nm"),
-    ({"a": 1}, {}, r"water must be .* or a uwaug.Water, got \{'a': 1\}"),
-    ("7C", {"g": torch.tensor(0.5)}, r"g must be a number, got a tensor; .*learnable=True"),
-]
+def of_water(water: Any = "II", **options: Any) -> Callable[[], Medium]:
+    return lambda: Medium.from_water(water, **options)
 
 
-@pytest.mark.parametrize("water, change, match", WATERS)
-def test_from_water_refuses(water: Any, change: dict[str, Any], match: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=match):
-        Medium.from_water(water, **change)
+def of_coefficients(**changes: Any) -> Callable[[], Medium]:
+    return lambda: Medium.from_coefficients(**{**COEFFICIENTS, **changes})
 
 
-@pytest.mark.parametrize(
-    "change, match",
-    [
-        ({"beta": (0.1, 0.2)}, r"beta.*\(2,\)"),
-        ({"veil": torch.rand(1, 1, 3)}, r"veil.*\(1, 1, 3\)"),
-        ({"G": (0.1, math.nan, 0.3)}, "G must.*nan"),
-        ({"light": (0.1, -1.0, 0.3)}, "light.*-1"),
-        ({"beta": torch.rand(2, 3), "G": torch.rand(3, 3)}, "batch sizes"),
-        ({"b_mean": torch.rand(2, 2)}, "b_mean"),
-        ({"G": (0.4, 0.5, 0.1)}, r"G must be beta at most.*got G = .*\[\[0.4, 0.5, 0.1\]\]"),
-    ],
+def with_odd_tensor(at: int) -> Medium:
+    tensors = list(coastal().tensors())
+    tensors[at] = torch.rand(2, 5, 7)
+    return Medium(*tensors)
+
+
+FAR_RED = Water([750, 800], a=[1, 1], b=[1, 1], kd=[1, 1])
+TWO_LAWS = [coastal(), coastal(point_spread=PointSpread.calibrated())]
+
+test_what_is_refused = refusals(
+    (of_water(vertical_depth=-1.0), "vertical_depth.*-1"),
+    (of_water(g=1.1), r"g must.*\[0, 1\].*1.1"),
+    (of_water(g=torch.tensor(0.5)), r"g must be a number, got a tensor; .*learnable=True"),
+    (of_water(tolerance=1.0), "tolerance.*1"),
+    (of_water(camera="Kodak"), "camera must be one of .*Kodak"),
+    (of_water(surfaces="matt"), "surfaces must be one of grey, spectral"),
+    (of_water("sea"), r"water must be one of I, IA.*got 'SEA'"),
+    (of_water(FAR_RED), "no band of 400–700 nm"),
+    (of_water({"a": 1}), r"water must be .* or a uwaug.Water, got \{'a': 1\}"),
+    (of_coefficients(beta=(0.1, 0.2)), r"beta.*\(2,\)"),
+    (of_coefficients(veil=torch.rand(1, 1, 3)), r"veil.*\(1, 1, 3\)"),
+    (of_coefficients(G=(0.1, math.nan, 0.3)), "G must.*nan"),
+    (of_coefficients(light=(0.1, -1.0, 0.3)), "light.*-1"),
+    (of_coefficients(beta=torch.rand(2, 3), G=torch.rand(3, 3)), "batch sizes"),
+    (of_coefficients(b_mean=torch.rand(2, 2)), "b_mean"),
+    (
+        of_coefficients(G=(0.4, 0.5, 0.1)),
+        r"G must be beta at most.*got G = .*\[\[0.4, 0.5, 0.1\]\]",
+    ),
+    *((with_odd_tensor, at, r"Medium\.\w+ must have shape .* got") for at in range(6)),
+    (Medium.stack, iter([]), "got no media"),
+    (Medium.stack, "7C", "media must be a uwaug.Medium, got str"),
+    (Medium.stack, TWO_LAWS, "one law of point spreads, got"),
+    (lambda: coastal()[3], "medium 3 of 1"),
+    error=(TypeError, ValueError, IndexError),
 )
-def test_from_coefficients_refuses(change: dict[str, object], match: str) -> None:
-    with pytest.raises(ValueError, match=match):
-        Medium.from_coefficients(**{**COEFFICIENTS, **change})
-
-
-def test_shapes_that_disagree_and_stacks_of_nothing() -> None:
-    for i in range(6):
-        tensors = list(coastal().tensors())
-        tensors[i] = torch.rand(2, 5, 7)
-        with pytest.raises(ValueError, match=r"Medium\.\w+ must have shape .* got"):
-            Medium(*tensors)
-    with pytest.raises(ValueError, match="got no media"):
-        Medium.stack(iter([]))
-    with pytest.raises(TypeError, match=r"media must be a uwaug.Medium, got str"):
-        Medium.stack("7C")
-    with pytest.raises(ValueError, match="one law of point spreads, got"):
-        Medium.stack([coastal(), coastal(point_spread=PointSpread.calibrated())])
-    with pytest.raises(IndexError, match="medium 3 of 1"):
-        coastal()[3]
 
 
 SILLY = st.floats(0, 1e300) | st.sampled_from([0.0, 5e-324, 1e-300, 1e-9, 1e150, 6e16])

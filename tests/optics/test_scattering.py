@@ -1,9 +1,8 @@
 """Phase functions, and the g and μ that they come to."""
 
-from typing import Any
-
 import numpy as np
 import pytest
+from refusing import refusals
 
 from uwaug import Scattering
 from uwaug.optics import scattering
@@ -48,17 +47,12 @@ def test_petzold_sends_183_of_10000_back() -> None:
     assert coast.mu == pytest.approx(0.066, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    "make, arguments, words",
-    [
-        (Scattering.of_table, ([0.1, 180], [1]), "angles and values"),
-        (Scattering.of_table, ([5, 180], [2, 1]), "angles.*5 to 180"),
-        (Scattering.of_table, ([0.1, 90, 80, 180], [3, 2, 2, 1]), "angles must rise"),
-        (Scattering.of_table, ([0.1, 90, 180], [3, 0, 1]), "values"),
-        (Scattering.of_table, ([0.1, 1, 180], [1e4, 1, 1]), r"values.*θ\^-4"),
-        (Scattering.petzold, ("Atlantis",), "HAOCE 11"),
-    ],
+test_what_is_refused = refusals(
+    (Scattering.of_table, [0.1, 180], [1], "angles and values"),
+    (Scattering.of_table, [5, 180], [2, 1], "angles.*5 to 180"),
+    (Scattering.of_table, [0.1, 90, 80, 180], [3, 2, 2, 1], "angles must rise"),
+    (Scattering.of_table, [0.1, 90, 180], [3, 0, 1], "values"),
+    (Scattering.of_table, [0.1, 1, 180], [1e4, 1, 1], r"values.*θ\^-4"),
+    (Scattering.petzold, "Atlantis", "HAOCE 11"),
+    error=(ValueError, KeyError),
 )
-def test_what_is_refused(make: Any, arguments: tuple[Any, ...], words: str) -> None:
-    with pytest.raises((ValueError, KeyError), match=words):
-        make(*arguments)

@@ -1,14 +1,13 @@
 """The hard conditions for the stability matrix, and what is right in each: the model in float64,
 pixel by pixel.
 
-Nothing here comes from uwaug, so that nothing is measured against itself.
+Nothing of the model comes from uwaug, so that nothing is measured against itself.
 """
 
 import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import cv2
@@ -16,6 +15,8 @@ import jerlov
 import numpy as np
 import torch
 from torch import Tensor
+
+from referees.reference import gaussian_rows, matched
 
 FARTHEST = 1e9  # m: stands for z = +∞, at which every product with 0 would be NaN
 WAVELENGTHS = (600.0, 550.0, 450.0)  # nm, of R, G, B, where a condition is given by spectra
@@ -141,38 +142,14 @@ def own_gaussians(image: Tensor, sigma: Tensor) -> Tensor:
     out = []
     for picture, widths in zip(image, sigma.expand(len(image), -1, -1, -1), strict=True):
         flat = widths.detach().flatten()
-        rows, columns = _gaussian_rows(at // w, flat, h), _gaussian_rows(at % w, flat, w)
+        parameters = matched(flat.numpy())
+        rows, columns = (
+            torch.from_numpy(gaussian_rows(centres.numpy(), parameters, size))
+            for centres, size in ((at // w, h), (at % w, w))
+        )
         blurred = torch.stack([((rows @ channel) * columns).sum(1) for channel in picture])
         out.append(blurred.reshape(-1, h, w))
     return torch.stack(out) if out else image
-
-
-def _gaussian_rows(centres: Tensor, sigma: Tensor, size: int) -> Tensor:
-    sigma = sigma.clamp(max=4.0 * size)  # wider ones give the mean, to 1e-34
-    reach = math.ceil(8 * float(sigma.max())) + 1
-    offsets = torch.arange(-reach, reach + 1)
-    widths = torch.from_numpy(sampled_parameter(sigma.numpy())).clamp(min=1e-3)
-    taps = torch.exp(-0.5 * (offsets / widths[:, None]) ** 2)
-    folded = (centres[:, None] + offsets) % (2 * size)
-    folded = torch.minimum(folded, 2 * size - 1 - folded)
-    rows = torch.zeros(len(centres), size, dtype=torch.float64).scatter_add_(1, folded, taps)
-    return rows / rows.sum(1, keepdim=True)
-
-
-def sampled_parameter(sigma: np.ndarray) -> np.ndarray:
-    """Parameter of the sampled Gaussian whose width is `sigma`: they differ below 1 px, .5 px is
-    .46 px wide.
-    """
-    parameters, variances = _variances()
-    narrow = np.interp(np.square(np.minimum(sigma, 2.0)), variances, parameters)
-    return np.where(sigma < 1.2, narrow, sigma)
-
-
-@lru_cache(maxsize=1)
-def _variances() -> tuple[np.ndarray, np.ndarray]:
-    parameters, squares = np.linspace(0.05, 2.5, 50_000), np.arange(1, 21) ** 2
-    taps = np.exp(-0.5 * squares / parameters[:, None] ** 2)
-    return parameters, 2 * (taps @ squares) / (1 + 2 * taps.sum(1))
 
 
 def _decode(x: Tensor) -> Tensor:

@@ -42,46 +42,42 @@ def random_case(kind: str, rng: np.random.Generator) -> Case:
     return Case(lamp, x, y, z)
 
 
+def beam(lamp: Lamp, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a lamp sends to points (…x3), by inverse square and cone, and how far they are off."""
+    off = points - np.array(lamp.position)
+    radius = np.sqrt((off**2).sum(-1) + RADIUS**2)
+    share = np.ones_like(radius)
+    if lamp.cone is not None:
+        cosine = off @ np.array(lamp.aim) / np.linalg.norm(lamp.aim) / radius
+        inner, outer = (math.cos(math.radians(lamp.cone * part)) for part in (1 - EDGE, 1))
+        share = np.clip((cosine - outer) / (inner - outer), 0, 1)
+        share = share * share * (3 - 2 * share)
+    return lamp.power * share / radius**2, radius
+
+
 def light_by_definition(case: Case, water: Medium) -> Tensor:
     """The light (3) of a lamp that a white point sends to the camera through a water
-    (`Medium.under_lamp`): inverse square, cone, both ways.
+    (`Medium.under_lamp`).
     """
-    lamp = case.lamp
     ray = np.array([case.x, case.y, 1.0])
-    off = case.z * ray / np.linalg.norm(ray) - np.array(lamp.position)
-    radius = math.sqrt(float(off @ off) + RADIUS**2)
-    share = 1.0
-    if lamp.cone is not None:
-        toward = float(off @ np.array(lamp.aim)) / np.linalg.norm(lamp.aim) / radius
-        inner, outer = (math.cos(math.radians(lamp.cone * part)) for part in (1 - EDGE, 1))
-        share = float(np.clip((toward - outer) / (inner - outer), 0, 1))
-        share = share * share * (3 - 2 * share)
+    sent, radius = beam(case.lamp, case.z * ray / np.linalg.norm(ray))
     rates, weights = water.G[0].numpy(), water.signal_weights[0].numpy()
-    arrives = weights @ np.exp(-rates * (case.z + radius))
-    return torch.from_numpy(lamp.power * share / radius**2 * arrives)
+    return torch.from_numpy(sent * (weights @ np.exp(-rates * (case.z + radius))))
 
 
 def veil_by_definition(case: Case, water: Medium, points: int = 20_001) -> Tensor:
     """The veil (3) of a lamp's light that a water (`Medium.under_lamp`) scatters once, summed along
     the ray in steps that are fine where the lamp is near.
     """
-    lamp = case.lamp
     ray = np.array([case.x, case.y, 1.0])
     ray /= np.linalg.norm(ray)
-    place, axis = np.array(lamp.position), np.array(lamp.aim) / np.linalg.norm(lamp.aim)
-    middle, fine = float(ray @ place), 1e-3
+    middle, fine = float(ray @ np.array(case.lamp.position)), 1e-3
     t = np.linspace(np.arcsinh(-middle / fine), np.arcsinh((case.z - middle) / fine), points)
     s = middle + fine * np.sinh(t)
-    off = s[:, None] * ray - place
-    radius = np.sqrt((off**2).sum(1) + RADIUS**2)
+    sent, radius = beam(case.lamp, s[:, None] * ray)
     g, cosine = ASYMMETRY, -(s - middle) / radius
     phase = (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
-    share = np.ones_like(s)
-    if lamp.cone is not None:
-        inner, outer = (math.cos(math.radians(lamp.cone * part)) for part in (1 - EDGE, 1))
-        share = np.clip((off @ axis / radius - outer) / (inner - outer), 0, 1)
-        share = share * share * (3 - 2 * share)
     rates, weights = water.G[0].numpy(), water.veil_weights[0].numpy()
     left = np.exp(-np.multiply.outer(s + radius, rates)) @ weights.T
-    density = (math.pi * phase * share / radius**2 * fine * np.cosh(t))[:, None] * left
-    return torch.from_numpy(lamp.power * np.trapezoid(density, t, axis=0))
+    density = (math.pi * phase * sent * fine * np.cosh(t))[:, None] * left
+    return torch.from_numpy(np.trapezoid(density, t, axis=0))

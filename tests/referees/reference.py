@@ -30,12 +30,22 @@ class Curves(NamedTuple):
 
 
 def spectral_curves(
-    water: Water, z: np.ndarray, *, depth: float, g: float, mu: float, bands: np.ndarray = BANDS
+    water: Water,
+    z: np.ndarray,
+    *,
+    depth: float,
+    g: float,
+    mu: float,
+    bands: np.ndarray = BANDS,
+    camera: np.ndarray | None = None,
 ) -> Curves:
-    """The three integrals over wavelength as sums over the bands."""
+    """The three integrals over wavelength as sums over the bands; `camera` (bands x 3): weights of
+    each band, by default those of a Nikon.
+    """
     z = np.asarray(z, dtype=np.float64)[..., None]
     bulk = water.at(bands)
-    light = load_camera(NIKON).weights(bands) * np.exp(-bulk.kd * depth)[:, None]
+    camera = load_camera(NIKON).weights(bands) if camera is None else camera
+    light = camera * np.exp(-bulk.kd * depth)[:, None]
     beta, G = bulk.a + bulk.b, bulk.a + g * bulk.b
     with np.errstate(divide="ignore", invalid="ignore"):
         # (1 − e^(−Gz))/G, and z where G = 0
@@ -164,7 +174,7 @@ def exponential_waves(sigma: float, h: int, w: int) -> np.ndarray:
     edges = np.sqrt(widths[1:] * widths[:-1])
     # share of widths below the edge above each
     below = np.concatenate([halfnorm.sf(sigma / edges), [1.0]])
-    return np.einsum("s,sh,sw->hw", np.diff(below, prepend=0), down, across)
+    return (down * np.diff(below, prepend=0)[:, None]).T @ across
 
 
 def exponential(image: np.ndarray, sigma: float) -> np.ndarray:

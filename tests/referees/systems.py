@@ -9,14 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from referees import reference
+from referees.lamps import ASYMMETRY, beam
 from referees.reference import BANDS, NIKON
+from uwaug import Lamp
 from uwaug.optics.camera import load_camera
 from uwaug.optics.water import Water
 
 Array = np.ndarray
 
-LAMP, AIM = np.array([-0.8, -0.5, 0.0]), np.array([0.8, 0.5, 3.0])
-POWER, CONE, RADIUS, ASYMMETRY = 10.0, 50.0, 0.03, 0.924
+LAMP = Lamp((-0.8, -0.5, 0.0), 10.0, (0.8, 0.5, 3.0), cone=50.0)
 
 
 class Scene(NamedTuple):
@@ -53,25 +54,15 @@ def rays(height: int, width: int) -> Array:
     return ray / np.linalg.norm(ray, axis=0)
 
 
-def in_beam(points: Array) -> tuple[Array, Array]:
-    """What the lamp sends to points (3x…) over r², and r."""
-    away = points - LAMP.reshape(3, *[1] * (points.ndim - 1))
-    r = np.sqrt((away**2).sum(0) + RADIUS**2)
-    cosine = np.tensordot(AIM / np.linalg.norm(AIM), away, 1) / r
-    inner, outer = math.cos(math.radians(CONE / 2)), math.cos(math.radians(CONE))
-    t = np.clip((cosine - outer) / (inner - outer), 0, 1)
-    return POWER * t * t * (3 - 2 * t) / r**2, r
-
-
 def lit(scene: Scene, water: Water, g: float, steps: int = 3000) -> tuple[Array, Array, Array]:
     """What a lamp sends to planes that face the camera, its distance, and its veil (3xHxW)."""
     ray, z = rays(*scene.z.shape), scene.z
-    share, r = in_beam(z * ray)
-    facing = np.maximum(z * ray[2] - LAMP[2], 0) / r
+    share, r = beam(LAMP, np.moveaxis(z * ray, 0, -1))
+    facing = np.maximum(z * ray[2] - LAMP.position[2], 0) / r
     s = (np.arange(steps) + 0.5)[:, None, None] / steps * z
-    flux, path = in_beam(s * ray[:, None])
+    flux, path = beam(LAMP, np.moveaxis(s * ray[:, None], 0, -1))
     # of light that comes from the lamp and goes to the camera
-    cosine = -(s - np.tensordot(LAMP, ray, 1)) / path
+    cosine = -(s - np.tensordot(LAMP.position, ray, 1)) / path
     phase = (1 - ASYMMETRY**2) / (1 + ASYMMETRY**2 - 2 * ASYMMETRY * cosine) ** 1.5 / 4
     veil = np.zeros_like(scene.J)
     for a, b, _, S in bands(water):

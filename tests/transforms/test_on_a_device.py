@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 import torch
-from augmenting import OPTIONS, H, W, distances, picture
+from augmenting import OPTIONS, H, W, distances, picture, same
 from torch import Tensor
 from torch.nn.functional import interpolate
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -52,35 +52,31 @@ def one_by_one(aug: RandomUnderwater, record: Any, image: Tensor, maps: Tensor |
     return torch.stack(made)
 
 
-@pytest.mark.parametrize("name", OPTIONS)
+BATCHES = [(name, torch.float32) for name in OPTIONS]
+BATCHES += [(name, torch.uint8) for name in ("default", "network", "half", "snowy")]
+
+
+@pytest.mark.parametrize(("name", "dtype"), BATCHES)
 def test_a_batch_is_its_pictures_one_by_one_and_those_of_the_host(
-    name: str, monkeypatch: pytest.MonkeyPatch
+    name: str, dtype: torch.dtype, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     aug = RandomUnderwater(**OPTIONS[name])
     maps = distances(4) if aug.distance.reads_maps else None
     # the blur's tolerance is that of pictures, not of noise
     image = interpolate(picture(4)[..., ::6, ::6], (H, W), mode="bilinear")
+    image, white, rounding = (
+        (image, 1, 1e-5) if dtype.is_floating_point else ((255 * image).byte(), 255, 1)
+    )
     record = aug.make_params(image, torch.Generator().manual_seed(0))
     together = aug.transform(image, maps, record)
-    assert (together - one_by_one(aug, record, image, maps)).abs().max() <= 1e-5
+    assert together.dtype == dtype
+    apart = together.double() - one_by_one(aug, record, image, maps)
+    assert apart.abs().max() <= rounding
     monkeypatch.setattr(checks, "on_host", lambda x: True)
     host = aug.transform(image, maps, record)
     # plans differ, as that of a batch is made before its light is measured
-    assert (together - host).square().mean().sqrt() < 0.002
-    assert torch.equal(host, one_by_one(aug, record, image, maps))
-
-
-@pytest.mark.parametrize("host", [True, False])
-@pytest.mark.parametrize("name", ["default", "network", "half", "snowy"])
-def test_bytes_are_bytes(name: str, host: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checks, "on_host", lambda x: host)
-    aug, image = RandomUnderwater(**OPTIONS[name]), picture(4, torch.uint8)
-    maps = distances(4) if aug.distance.reads_maps else None
-    record = aug.make_params(image, torch.Generator().manual_seed(0))
-    together = aug.transform(image, maps, record)
-    assert together.dtype == torch.uint8
-    apart = together.int() - one_by_one(aug, record, image, maps).int()
-    assert apart.abs().max() <= (0 if host else 1)
+    assert (together.double() - host).square().mean().sqrt() < 0.002 * white
+    assert same(host, one_by_one(aug, record, image, maps))
 
 
 @pytest.mark.parametrize("name", ["default", "raw", "contents", "half", "night", "noisy"])

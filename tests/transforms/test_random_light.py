@@ -92,14 +92,3 @@ def test_lamps_stay_in_a_film() -> None:
     assert light(z, record) == light(1.5 * z, record) != light(1.5 * z, params)
     still, frame = (augment.transform(picture(), z, each) for each in (params, record))
     torch.testing.assert_close(still, frame, rtol=0, atol=2e-3)
-
-
-def test_what_is_refused() -> None:
-    for options, message in (
-        ({"share": 1.5}, r"share must be in \[0, 1\]"),
-        ({"rigs": ("torch",)}, "rigs must be one of vehicle, diver, strobe"),
-        ({"rigs": ()}, "rigs must be one of vehicle, diver, strobe"),
-        ({"cone": 120.0}, "cone must be a number or a range"),
-    ):
-        with pytest.raises((TypeError, ValueError), match=message):
-            RandomLight(**options)

@@ -430,6 +430,7 @@ def test_open_water(host: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     assert RandomUnderwater()(picture(2), z)[0].isfinite().all()
 
 
+SHARES = torch.linspace(0.01, 1, H * W).reshape(1, H, W)
 NO_WATER = "times what is in it, which is hardly that water"
 THICK = RandomWater("chlorophyll=.01", visibility=2.0)
 SAID: list[tuple[RandomWater, Light | None, Tensor, str]] = [
@@ -439,6 +440,7 @@ SAID: list[tuple[RandomWater, Light | None, Tensor, str]] = [
     (THICK, None, wall(0.5), NO_WATER),
     (RandomWater(COAST, contrast=0.9), None, wall(30.0), "pure water has less than a contrast"),
     (RandomWater(COAST, contrast=0.9), LIT, wall(30.0), "0.9 at 30 m: ask for less"),
+    (RandomWater(), None, SHARES, r"0…1, which looks relative: .*Inverse\(near, far\)"),
     (RandomWater("II", visibility=200.0), None, wall(4.0), "less than the visibility at 4 m"),
 ]
 
@@ -456,14 +458,6 @@ def test_says_once_what_is_odd(
     aug(picture(), z)  # silent: a warning would be an error
 
 
-@pytest.mark.usefixtures("nothing_is_said")
-def test_doubts_the_first_maps_of_a_process() -> None:
-    aug, shares = RandomUnderwater(), torch.linspace(0.01, 1, H * W).reshape(1, H, W)
-    with pytest.warns(UserWarning, match=r"0…1, which looks relative: .*Inverse\(near, far\)"):
-        aug(picture(), shares)
-    aug(picture(), shares)  # silent: a warning would be an error
-
-
 def options(make: Callable[..., Any], *words: str, **given: Any) -> tuple[Callable[[], Any], str]:
     return partial(make, **given), ".*".join(words)
 
@@ -479,6 +473,10 @@ OPTIONS_REFUSED = [
     options(RandomUnderwater, r"p must be in \[0, 1\]", p=2.0),
     options(RandomUnderwater, "distance must be", r"Network\(", distance=torch.nn.Identity()),
     options(RandomUnderwater, "light must be a", "RandomLight, got float", light=3.0),
+    options(RandomLight, r"share must be in \[0, 1\]", share=1.5),
+    options(RandomLight, "rigs must be one of vehicle, diver, strobe", rigs=("torch",)),
+    options(RandomLight, "rigs must be one of vehicle, diver, strobe", rigs=()),
+    options(RandomLight, "cone must be a number or a range", cone=120.0),
     options(RandomDevelopment, "metered must be True or False, got 'off'", metered="off"),
     options(uwaug.Development, "metered must be True or False, got 0", metered=0),
 ]

@@ -1,4 +1,6 @@
-"""A noun that is added as the house README says: a lens that darkens the rim of a picture."""
+"""What is drawn, added as the house README says: a noun, here a lens that darkens the rim of a
+picture; and a number of a noun that there is, here the stops that the port of a housing takes.
+"""
 
 from pathlib import Path
 
@@ -58,6 +60,15 @@ EDITS = {
         ),
         "light_noun, self.development)": "light_noun, self.development, self.lens)",
     },
+    "transforms/random_development.py": {
+        "    noise: Sensor | None = None\n": (
+            "    noise: Sensor | None = None\n    port: Range = number(0.0, 0.0, 3.0)\n"
+        ),
+        '        options: dict[str, Any] = {**draw, "metered": self.metered}\n': (
+            '        options: dict[str, Any] = {**draw, "metered": self.metered}\n'
+            '        options["exposure"] -= options.pop("port")\n'
+        ),
+    },
     "transforms/draws.py": {
         '"light", "development")': '"light", "development", "lens")',
         "    development: Drawn\n": "    development: Drawn\n    lens: Drawn\n",
@@ -107,30 +118,37 @@ generator = torch.Generator().manual_seed(0)
 image, distance = torch.rand(3, 24, 32, generator=generator), torch.full((1, 24, 32), 2.0)
 options = {"light": None, "distance": 2.0}
 water = uwaug.RandomWater("II", field=None, vertical_depth=5.0, mu=0.03, color_matrix=None)
-camera = uwaug.RandomDevelopment(**uwaug.RandomDevelopment.PLAIN)
 
 
-def transform(vignetting):
+def transform(vignetting, port=0.0):
     lens = RandomLens(vignetting)
+    camera = uwaug.RandomDevelopment(**uwaug.RandomDevelopment.PLAIN, port=port)
     return uwaug.RandomUnderwater(water, development=camera, lens=lens, **options)
 
 
-# it is drawn, and acts
-augment = transform((0.5, 1.0))
+# both are drawn, and act
+augment = transform((0.5, 1.0), (1.0, 2.0))
 record = augment.make_params(image, generator)
-drawn = record["samples"][0]["lens"]
-assert 0.5 < drawn["vignetting"] < 1
+(sample,) = record["samples"]
+port = sample["development"]["port"]
+assert 0.5 < sample["lens"]["vignetting"] < 1 < port < 2
+dim = augment.transform(image, None, record)
+sample["development"] |= {"port": 0.0, "exposure": -port}
+assert torch.equal(augment.transform(image, None, record), dim)
+sample["development"]["exposure"] = 0.0
 made = augment.transform(image, None, record)
-record["samples"][0]["lens"] = {"vignetting": 0.0}
+sample["lens"] = {"vignetting": 0.0}
 assert (augment.transform(image, None, record) - made)[:, 0, 0].mean() > 0.05
 
-# it is read, refused and fixed as all others
+# they are read, refused and fixed as all others
 twin = uwaug.RandomUnderwater.from_dict(json.loads(json.dumps(augment.to_dict())))
-assert twin.lens == augment.lens
-record["samples"][0]["lens"] = {"vignetting": 9.0}
-with pytest.raises(ValueError, match="lens.vignetting must be in"):
-    augment.transform(image, None, record)
-with pytest.raises(ValueError, match="lens.vignetting differ"):
+assert (twin.lens, twin.development) == (augment.lens, augment.development)
+for noun, name in (("lens", "vignetting"), ("development", "port")):
+    wrong = json.loads(json.dumps(record))
+    wrong["samples"][0][noun][name] = 9.0
+    with pytest.raises(ValueError, match=f"{noun}.{name} must be in .*, got 9"):
+        augment.transform(image, None, wrong)
+with pytest.raises(ValueError, match="development.port, lens.vignetting differ"):
     augment.module()
 
 # modules, their states and what is made of their settings have it; the loops refuse it
@@ -146,18 +164,18 @@ assert torch.equal(uwaug.Underwater.of(module.setting, (2.0, 2.02))(image, dista
 bare.load_state_dict(module.state_dict())
 assert torch.equal(bare(image, distance), shown)
 
-# it is an option of the command line, and replayed from what that writes
-line = "degrade photo.png --distance 2 --set lens.vignetting=.5:1 --out wet"
-done = CliRunner().invoke(app, line.split())
+# they are options of the command line, and replayed from what that writes
+line = "degrade photo.png --distance 2 --set lens.vignetting=.5:1 --set development.port=1:2"
+done = CliRunner().invoke(app, [*line.split(), "--out", "wet"])
 assert done.exit_code == 0, done.output
 (sample,) = read_record(Path("wet/photo.png.json"))["params"]["samples"]
-assert 0.5 < sample["lens"]["vignetting"] < 1
+assert 0.5 < sample["lens"]["vignetting"] < 1 < sample["development"]["port"] < 2
 replay("wet/photo.png.json", "again.png")
 assert Path("again.png").read_bytes() == Path("wet/photo.png").read_bytes()
 """
 
 
-def test_it_is_drawn_recorded_replayed_and_in_modules(tmp_path: Path) -> None:
+def test_they_are_drawn_recorded_replayed_and_in_modules(tmp_path: Path) -> None:
     edited_copy(tmp_path, EDITS)
     (tmp_path / "uwaug" / "optics" / "lens.py").write_text(LENS)
     (tmp_path / "uwaug" / "transforms" / "random_lens.py").write_text(RANDOM_LENS)
