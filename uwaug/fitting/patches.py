@@ -19,18 +19,12 @@ from uwaug._support.atomic import read_text
 from uwaug._support.threads import one_thread
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import FAR_QUANTILE, MIN_SPAN, NEAR_QUANTILE, Geometry, Pixels, Places
-from uwaug.fitting.errors import Covariance, parameters, remainder, sandwich
-from uwaug.fitting.model import (
-    COLOURS,
-    MAX_GAIN,
-    MODELS,
-    Bounds,
-    CoefficientModel,
-    Model,
-    Quantity,
-)
+from uwaug.fitting.errors import Covariance, parameters, remainder, sandwich, straight_line, unknown
+from uwaug.fitting.model import COLOURS, MAX_GAIN, MODELS, Bounds, CoefficientModel, Model, Quantity
 from uwaug.fitting.result import Fit
 from uwaug.fitting.solve import (
+    MAD,
+    MIN_NOISE,
     Objective,
     Solution,
     guess,
@@ -38,7 +32,6 @@ from uwaug.fitting.solve import (
     logit_prefit,
     solve,
 )
-from uwaug.fitting.words import straight_line, unknown
 from uwaug.formation.colour import decoded, require_values
 from uwaug.formation.setting import Setting
 
@@ -48,8 +41,6 @@ _MAX_SPREAD = 2.0  # largest standard deviation of a logarithm
 _MAX_LOG = 5.0  # of a chart's light and distance: it is far off
 _ROUGH_SHARE, _ROUGH_FLOOR = 0.05, 1e-3  # noise of a first fit: a share of the light, and a least
 _ROUNDS = 3  # of noise that is learnt from residuals
-_MIN_NOISE = 1e-4  # linear light; no camera is better
-_MAD = 1.4826  # standard deviations in a median absolute deviation of Gaussian noise
 _UNEVEN_LIGHT = 1.5  # ratio of the lights on charts that is worth a note
 _CHART_DEPTH = 1.5  # ratio of the distances of the patches of one chart, which may lean
 _BRIGHTEST = (0.01, 10.0)  # values that may be the largest of all
@@ -341,8 +332,8 @@ def _solved(objective: _WithSpreads) -> tuple[_WithSpreads, Solution]:
         light = model.render(solution.theta, pixels)
         share = (pixels.observed / light - 1).abs()
         medians = [float(share[0, c][is_used[0, c]].median()) for c in range(3)]
-        spread = _MAD * torch.tensor(medians).reshape(1, 3, 1, 1) / math.sqrt(freedom)
-        weights = is_used / (spread * light).clamp(min=_MIN_NOISE)
+        spread = MAD * torch.tensor(medians).reshape(1, 3, 1, 1) / math.sqrt(freedom)
+        weights = is_used / (spread * light).clamp(min=MIN_NOISE)
         objective = _WithSpreads(model, replace(pixels, weights=weights))
         solution = solve(objective, solution.theta)
     return objective, solution
