@@ -30,10 +30,10 @@ def charts(seed: int, *, uneven: float = 0.25, noise: float = 0.03, tape: float 
         for k, z in enumerate(metres):
             light = math.exp(uneven * float(normal(1)))
             true_z = z * math.exp(tape * float(normal(1)))
-            for grey in GREYS:
-                image = (light * grey * torch.tensor(GAIN)).reshape(3, 1, 1).expand(3, 8, 8)
-                seen = water(image, torch.full((1, 8, 8), true_z))[:, 4, 4]
-                seen = EXPOSURES[picture] * seen * (1 + noise * normal(3))
+            board = light * torch.tensor(GAIN)[:, None, None] * torch.tensor(GREYS)
+            board = water(board, torch.full((1, 1, len(GREYS)), true_z))[:, 0].T
+            for grey, light_of_grey in zip(GREYS, board, strict=True):
+                seen = EXPOSURES[picture] * light_of_grey * (1 + noise * normal(3))
                 patches.append(Patch(picture, str(k), z, (grey,) * 3, tuple(seen.tolist())))
     return patches
 
