@@ -16,11 +16,12 @@ from uwaug.optics.view import WIDE
 FIXED = {"G_red": 0.2, "veil_green": 0.3, "veil_blue": 0.2, "G_blue": 0.1}
 
 
-def spectral(known, surfaces="grey"):
+def spectral(known, surfaces="grey", gains=("gain",)):
     pictures = Pictures.of(*known, "srgb")
     camera, law = load_camera("Nikon 5100 (NPL)"), uwaug.PointSpread.paper()
     water = uwaug.Water.jerlov("3C")
-    model = TypeModel(water, camera, surfaces, 0.2, None, law, WIDE, None, pictures.geometry)
+    known = camera, surfaces, 0.2, None, law, WIDE, None, pictures.geometry
+    model = TypeModel(water, *known, gains)
     return Objective(model, pictures.sample(["gaussian"], 600, 0))
 
 
@@ -31,11 +32,15 @@ def differences(function, theta, step):
     return np.stack(columns, -1)
 
 
-@pytest.mark.parametrize("name", ["haze", "veil", "exponential", "gaussian", "by spectra"])
+@pytest.mark.parametrize("name", ["haze", "veil", "exponential", "gaussian", "by spectra", "gains"])
 def test_slopes_are_those_of_the_image(known, name):
     """Of numbers that are moved one by one, both ways."""
     if name == "by spectra":
         problem, theta, step = spectral(known), np.array([0.2, 2.0, 0.1]), 1e-3
+    elif name == "gains":
+        gains = [f"gain_{colour}" for colour in COLOURS]
+        problem, step = spectral(known, gains=gains), 1e-3
+        theta = np.array([0.2, 2.0, 0.1, -0.2, 0.3])
     else:
         problem, step = objective(known, name, 500, gain=True), 1e-6
         fixed = FIXED if name == "gaussian" else {}

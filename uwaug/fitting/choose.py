@@ -10,10 +10,9 @@ import torch
 
 from uwaug._support.types import Array
 from uwaug.fitting.data import Pictures
-from uwaug.fitting.errors import covariance_of, parameters, remainder
+from uwaug.fitting.errors import covariance_of, left_over, parameters, remainder, unknown
 from uwaug.fitting.result import Candidate, Fit
 from uwaug.fitting.solve import M, Objective, Solution, loss, solve
-from uwaug.fitting.words import left_over, unknown
 from uwaug.formation.setting import Setting
 
 _FOLDS = 5

@@ -1,9 +1,10 @@
-"""Errors of a fit: the covariance of its numbers over other pictures of the same kind, and the
-residuals by distance. `parameter` alone decides if a number is reported or "not identified".
+"""Errors of a fit: the covariance of its numbers over other pictures of the same kind, the
+residuals by distance, and sentences on both. `parameter` alone decides if a number is reported or
+"not identified".
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from uwaug._support.types import Array
 from uwaug.fitting.data import Places
-from uwaug.fitting.model import NORMAL, Model, Quantity, report_slopes
+from uwaug.fitting.model import COLOURS, NORMAL, VISIBLE_LIGHT, Model, Quantity, report_slopes
 from uwaug.fitting.result import Parameter, Remainder
 from uwaug.fitting.solve import M, Objective, Solution, influence
 from uwaug.optics.curves import FARTHEST
@@ -26,6 +27,9 @@ _MAX_ERROR_SHARE = 0.5
 _FLAT_EIGENVALUE = 1e-9  # share of the largest eigenvalue, below which a direction does not show
 _UNMOVED_SHARE = 1e-4  # of a slope, that may lie along directions that do not show
 _TENTHS = 10  # parts of the distances, each with a mean residual
+THIN_OPTICAL_DEPTH = 0.3  # G·z at the far end, below which a veil is still a straight line
+_SURE_ERRORS = 5.0  # standard errors of independent noise, beyond which a mean residual is real
+_DEPENDENT_EFFECT = 1.5  # design effect, above which neighbouring residuals depend on each other
 
 
 class Covariance(NamedTuple):
@@ -160,3 +164,45 @@ def remainder(objective: Objective[M], theta: Array) -> list[Remainder]:
             errors = tuple(float(x.std() / math.sqrt(len(x))) for x in values)
             rows.append(Remainder(float(np.median(z[part])), means, errors))
     return rows
+
+
+# ---- sentences
+
+
+def left_over(remainder: Sequence[Remainder], design_effect: float, rms: float) -> list[str]:
+    """The sentence, if any, on residuals that are off at one distance, or alike in neighbours."""
+    worst, example = 0.0, ""
+    for row in remainder:
+        for colour, mean, error in zip(COLOURS, row.mean, row.error, strict=True):
+            if abs(mean) > max(VISIBLE_LIGHT, _SURE_ERRORS * error, worst):
+                worst, side = abs(mean), "brighter" if mean > 0 else "darker"
+                example = f"; {colour} is {worst:.2g} {side} than fitted at {row.distance:.3g} m"
+    are_alike = design_effect > _DEPENDENT_EFFECT and rms > VISIBLE_LIGHT
+    if not example and not are_alike:
+        return []
+    return [
+        f"What is left is not noise: errors are {design_effect:.1f} times those of independent "
+        f"pixels{example}. Numbers may be off by more, for distances, alignment, uneven light, "
+        "JPEG, or more than one rate for a colour."
+    ]
+
+
+def straight_line(rates: Mapping[str, float], farthest: float) -> list[str]:
+    """The sentence, if any, on colours whose veil, of rate G (1/m), is straight to the end (m)."""
+    straight = [colour for colour, G in rates.items() if G * farthest < THIN_OPTICAL_DEPTH]
+    if not straight:
+        return []
+    return [
+        f"In {', '.join(straight)} the veil still grows as a straight line at {farthest:.3g} m: "
+        "its growth (source) is seen, where it ends is not."
+    ]
+
+
+def unknown(parameters: Mapping[str, Parameter]) -> list[str]:
+    words = {"not identified": "Not identified", "at bound": "At the end of what they may be"}
+    sentences = []
+    for state, beginning in words.items():
+        names = [name for name, number in parameters.items() if number.state == state]
+        if names:
+            sentences.append(f"{beginning}: {', '.join(names)}.")
+    return sentences

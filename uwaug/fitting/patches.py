@@ -19,19 +19,12 @@ from uwaug._support.atomic import read_text
 from uwaug._support.threads import one_thread
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import FAR_QUANTILE, MIN_SPAN, NEAR_QUANTILE, Geometry, Pixels, Places
-from uwaug.fitting.errors import parameters, remainder, sandwich
-from uwaug.fitting.model import (
-    COLOURS,
-    MAX_GAIN,
-    MODELS,
-    Bounds,
-    CoefficientModel,
-    Coefficients,
-    Model,
-    Quantity,
-)
+from uwaug.fitting.errors import Covariance, parameters, remainder, sandwich, straight_line, unknown
+from uwaug.fitting.model import COLOURS, MAX_GAIN, MODELS, Bounds, CoefficientModel, Model, Quantity
 from uwaug.fitting.result import Fit
 from uwaug.fitting.solve import (
+    MAD,
+    MIN_NOISE,
     Objective,
     Solution,
     guess,
@@ -39,7 +32,6 @@ from uwaug.fitting.solve import (
     logit_prefit,
     solve,
 )
-from uwaug.fitting.words import straight_line, unknown
 from uwaug.formation.colour import decoded, require_values
 from uwaug.formation.setting import Setting
 
@@ -49,9 +41,9 @@ _MAX_SPREAD = 2.0  # largest standard deviation of a logarithm
 _MAX_LOG = 5.0  # of a chart's light and distance: it is far off
 _ROUGH_SHARE, _ROUGH_FLOOR = 0.05, 1e-3  # noise of a first fit: a share of the light, and a least
 _ROUNDS = 3  # of noise that is learnt from residuals
-_MIN_NOISE = 1e-4  # linear light; no camera is better
-_MAD = 1.4826  # standard deviations in a median absolute deviation of Gaussian noise
 _UNEVEN_LIGHT = 1.5  # ratio of the lights on charts that is worth a note
+_CHART_DEPTH = 1.5  # ratio of the distances of the patches of one chart, which may lean
+_BRIGHTEST = (0.01, 10.0)  # values that may be the largest of all
 
 
 class Patch(NamedTuple):
@@ -80,7 +72,7 @@ def read_patches(path: str | os.PathLike[str]) -> list[Patch]:
         path: a file whose first line names the columns, in any order: distance (m), air_red,
             air_green, air_blue, red, green, blue; and picture and chart, without which there is
             one picture, and a chart at each distance of a picture. An empty value of red, green or
-            blue was clipped. Other columns are left alone.
+            blue was clipped. Other columns, and empty rows, are left alone.
 
     Raises:
         ValueError: if it is no such table; the error names the line.
@@ -91,22 +83,25 @@ def read_patches(path: str | os.PathLike[str]) -> list[Patch]:
     rows = csv.DictReader(io.StringIO(text, newline=""), delimiter=mark, restval="")
     header = [name.strip().lower() for name in rows.fieldnames or ()]
     rows.fieldnames = header
-    in_air = [f"air_{colour}" for colour in COLOURS]
-    if missing := [name for name in ("distance", *in_air, *COLOURS) if name not in header]:
+    numbers = ["distance", *(f"air_{colour}" for colour in COLOURS), *COLOURS]
+    if missing := [name for name in numbers if name not in header]:
         raise ValueError(f"{path}: expected a column {missing[0]}, got {', '.join(header)}")
     patches = []
     for row in rows:
-        cells = [row[name].strip().replace(",", ".") for name in ("distance", *in_air, *COLOURS)]
+        if not any(row.values()):
+            continue  # spreadsheets end in empty rows
+        cells = [row[name].strip().replace(",", ".") for name in numbers]
         try:
-            distance, *values = (float(cell) if cell else math.nan for cell in cells)
+            distance, *air = map(float, cells[:4])
+            water = [float(cell or "nan") for cell in cells[4:]]
+            if None in row:
+                raise ValueError
         except ValueError:
-            values = []
-        if not values or None in row:
-            got = f"got {', '.join(cells)}"
-            raise ValueError(f"{path}, line {rows.line_num}: expected a number a column, {got}")
+            got = f"expected a number a column, got {', '.join(cells)}"
+            raise ValueError(f"{path}, line {rows.line_num}: {got}") from None
         picture = row.get("picture", "").strip()
         chart = row.get("chart", "").strip() or f"{distance:g} m"
-        patches.append(Patch(picture, chart, distance, tuple(values[:3]), tuple(values[3:])))
+        patches.append(Patch(picture, chart, distance, tuple(air), tuple(water)))
     return patches
 
 
@@ -129,7 +124,7 @@ def fit_patches(
             alike. A chart in deep shade counts for less.
         distance_error: standard deviation of distances, as a share of each, 0…2.
         color_space: "srgb": values are decoded to linear light. "linear": they are taken as is, of
-            any camera's space up to a factor for each colour, but `air` and `water` of one.
+            0…1 in any camera's space, but `air` and `water` of one.
 
     Returns:
         The fit, with the exposure of the first picture. Numbers are those of `uwaug.fit`, and
@@ -137,7 +132,7 @@ def fit_patches(
 
     Raises:
         TypeError, ValueError: if a number does not suit; fewer than 12 patches have all colours; or
-            all are at one distance.
+            all are at one distance, or those of one chart at several.
 
     Examples:
         >>> import math, uwaug
@@ -156,7 +151,13 @@ def fit_patches(
     pictures, picture_of = _numbered([patch.picture for patch in patches])
     charts, chart_of = _numbered([f"{patch.picture}/{patch.chart}".strip("/") for patch in patches])
     pixels = _pixels(patches, chart_of, color_space)
-    near, median, far = np.quantile(pixels.z.numpy(), (NEAR_QUANTILE, 0.5, FAR_QUANTILE)).tolist()
+    z = pixels.z.flatten().numpy()
+    for i, name in enumerate(charts):
+        of_chart = z[chart_of == i]
+        if of_chart.max() > _CHART_DEPTH * of_chart.min():
+            got = f"chart {name} lies at {of_chart.min():g} to {of_chart.max():g} m"
+            raise ValueError(f"patches: {got}: name each picture, or each place of a chart")
+    near, median, far = np.quantile(z, (NEAR_QUANTILE, 0.5, FAR_QUANTILE)).tolist()
     geometry = Geometry(near, median, far, pixels.size, 0.0)
     spreads = {"light": uneven, "distance": distance_error}
     spreads = {kind: spread for kind, spread in spreads.items() if spread > 0}
@@ -166,10 +167,8 @@ def fit_patches(
         patch_model = _PatchModel(water, pictures, charts, picture_of, chart_of, spreads)
         objective, solution = _solved(_WithSpreads(patch_model, pixels))
         theta, pixels = solution.theta, objective.pixels
-        influences = influence(objective.residual(theta))
-        covariance = sandwich(objective.jacobian(theta), *influences, objective.charts)
-        numbers, matrix = parameters(patch_model, solution, covariance)
-        coefficients = patch_model.coefficients(theta)
+        numbers, matrix = parameters(patch_model, solution, _covariance(objective, theta))
+        coefficients = water.coefficients(theta[: len(water.bounds)])
         medium, rest = water.medium(coefficients), remainder(objective, theta)
         error = patch_model.render(theta, pixels) - pixels.observed
         notes = _notes(patch_model, theta, error / pixels.observed)
@@ -211,9 +210,6 @@ class _PatchModel(Model):
         rows = [(kind, i) for kind in self.spreads for i in range(len(self.charts))]
         return self.water.bounds | exposures | {f"{kind} {i}": of_chart for kind, i in rows}
 
-    def coefficients(self, theta: Array) -> Coefficients:
-        return self.water.coefficients(theta[: len(self.water.bounds)])
-
     def factors(self, theta: Array) -> dict[str, Array]:
         """Exposure of each picture; light and factor on the distance of each chart."""
         logs = theta[len(self.water.bounds) :]
@@ -248,32 +244,42 @@ class _PatchModel(Model):
 class _WithSpreads(Objective[_PatchModel]):
     """Residuals of the patches, and numbers of charts in standard deviations of their spread."""
 
-    @property
-    def charts(self) -> Places:
-        """Number of the chart of each residual."""
-        model = self.model
-        own = np.tile(np.arange(len(model.charts)), len(model.spreads))
-        return np.concatenate([self.pixels.blocks_of_values, own])
-
-    @property
-    def _own(self) -> Array:
+    @cached_property
+    def own(self) -> Array:
         """Derivatives of the residuals of the numbers of charts, the last of θ."""
         model = self.model
         rates = np.repeat([1 / spread for spread in model.spreads.values()], len(model.charts))
-        count = len(model.bounds)
-        return np.asarray(np.eye(count)[count - len(rates) :] * rates[:, None])
+        return np.pad(np.diag(rates), ((0, 0), (len(model.bounds) - len(rates), 0)))
 
     def residual(self, theta: Array) -> Array:
-        return np.concatenate([super().residual(theta), self._own @ theta])
+        return np.concatenate([super().residual(theta), self.own @ theta])
 
     def jacobian(self, theta: Array) -> Array:
-        return np.concatenate([super().jacobian(theta), self._own])
+        return np.concatenate([super().jacobian(theta), self.own])
+
+
+def _covariance(objective: _WithSpreads, theta: Array) -> Covariance:
+    """Covariance over charts, whose light and distance are off by their spread, or by more where
+    the fit finds so: of a few charts, what it finds would be too little.
+    """
+    residual, blocks = objective.residual(theta), objective.pixels.blocks_of_values
+    score, curvature = influence(residual)
+    count = len(blocks)
+    score[count:] = 0
+    offsets = np.diag(np.abs(residual[count:]).clip(min=1))
+    return sandwich(
+        objective.jacobian(theta),
+        score,
+        curvature,
+        np.pad(blocks, (0, len(offsets))),
+        np.pad(offsets, ((count, 0), (0, 0))),
+    )
 
 
 def _numbered(names: Sequence[str]) -> tuple[list[str], Places]:
     """Each name once, and the number of that of each."""
-    unique = list(dict.fromkeys(names))
-    return unique, np.array([unique.index(name) for name in names], dtype=np.int64)
+    numbers = {name: i for i, name in enumerate(dict.fromkeys(names))}
+    return [*numbers], np.array([numbers[name] for name in names], dtype=np.int64)
 
 
 def _pixels(patches: Sequence[Patch], chart_of: Places, color_space: ColorSpace) -> Pixels:
@@ -287,11 +293,16 @@ def _pixels(patches: Sequence[Patch], chart_of: Places, color_space: ColorSpace)
     if (count := int(is_used.sum(3).min())) < _MIN_PATCHES:
         got = f"only {count} have a value between black and white of each colour"
         raise ValueError(f"patches: {got}, expected at least {_MIN_PATCHES}")
-    if not (z > 0).all() or float(z.max() - z.min()) < MIN_SPAN * float(z.median()):
-        raise ValueError(f"patches: expected several distances > 0, got {z.tolist()}")
+    nearest, farthest = float(z.min()), float(z.max())
+    if not 0 < nearest <= farthest - MIN_SPAN * float(z.median()) or farthest >= checks.OPEN:
+        got = f"{nearest:g} to {farthest:g} m"
+        raise ValueError(f"patches: expected several distances > 0, got {got}")
+    checks.metres("patches: distance", z[None])
     water = torch.where(water.isnan(), 0.0, water)
     for name, light in (("patches: air", air), ("patches: water", water)):
-        require_values(light, color_space, name)
+        _, high = require_values(light, color_space, name)
+        # noise, and what shows, are of light whose white is about 1
+        checks.within(f"{name}, brightest", high, *_BRIGHTEST)
     air, water = decoded(air, color_space), decoded(water, color_space)
     return Pixels(
         clean=air,
@@ -321,8 +332,8 @@ def _solved(objective: _WithSpreads) -> tuple[_WithSpreads, Solution]:
         light = model.render(solution.theta, pixels)
         share = (pixels.observed / light - 1).abs()
         medians = [float(share[0, c][is_used[0, c]].median()) for c in range(3)]
-        spread = _MAD * torch.tensor(medians).reshape(1, 3, 1, 1) / math.sqrt(freedom)
-        weights = is_used / (spread * light).clamp(min=_MIN_NOISE)
+        spread = MAD * torch.tensor(medians).reshape(1, 3, 1, 1) / math.sqrt(freedom)
+        weights = is_used / (spread * light).clamp(min=MIN_NOISE)
         objective = _WithSpreads(model, replace(pixels, weights=weights))
         solution = solve(objective, solution.theta)
     return objective, solution

@@ -24,9 +24,9 @@ _G_OVER_BETA = (0.1, 0.3, 0.6, 1.0)
 _START_PIXELS = 2000  # pixels that decide between starts
 _START_SPREAD = 0.5  # random starts multiply each number by up to e^±_START_SPREAD
 _ROUGH_NOISE = 0.01  # linear light; the noise of a first fit
-_MIN_NOISE = 1e-4  # linear light; no camera is better
+MIN_NOISE = 1e-4  # linear light; no camera is better
 _LEVELS = 16  # steps of brightness, each with a spread of residuals
-_MAD = 1.4826  # standard deviations in a median absolute deviation of Gaussian noise
+MAD = 1.4826  # standard deviations in a median absolute deviation of Gaussian noise
 _CLIP_MARGIN = 3.0  # standard deviations of noise between a value and black or white
 _MAX_CLIP_MARGIN = 0.1  # linear light; with more, a very noisy picture would have no pixels
 _OUTLIER = 6.0  # standard deviations of noise, from where on a residual does not count at all
@@ -241,11 +241,11 @@ def noise(error: Tensor, light: Tensor, is_used: Tensor) -> Tensor:
     rows = []
     for part in np.array_split(np.argsort(levels), _LEVELS):
         if len(part) > 1:
-            spread = _MAD * float(np.median(np.abs(errors[part] - np.median(errors[part]))))
-            rows.append((max(float(levels[part].mean()), 0.0), max(spread, _MIN_NOISE) ** 2))
+            spread = MAD * float(np.median(np.abs(errors[part] - np.median(errors[part]))))
+            rows.append((max(float(levels[part].mean()), 0.0), max(spread, MIN_NOISE) ** 2))
     level, variance = np.array(rows).T
     # each variance counts by its own size
     system = np.stack([np.ones_like(level), level], 1) / variance[:, None]
     (read, shot), _ = nnls(system, np.ones_like(level))
-    deviation: Tensor = (read + shot * light.clamp(min=0.0)).clamp(min=_MIN_NOISE**2).sqrt()
+    deviation: Tensor = (read + shot * light.clamp(min=0.0)).clamp(min=MIN_NOISE**2).sqrt()
     return deviation

@@ -11,11 +11,16 @@ from uwaug._support import checks
 from uwaug._support.threads import one_thread
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import Pictures, Pixels, blocks_of
-from uwaug.fitting.errors import covariance_of, parameter
+from uwaug.fitting.errors import (
+    THIN_OPTICAL_DEPTH,
+    covariance_of,
+    parameter,
+    straight_line,
+    unknown,
+)
 from uwaug.fitting.model import COLOURS, MODELS, CoefficientModel, Quantity, report_slopes
 from uwaug.fitting.result import Fit
 from uwaug.fitting.solve import ROBUST, Objective, guess, solve
-from uwaug.fitting.words import THIN_OPTICAL_DEPTH, straight_line, unknown
 from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
