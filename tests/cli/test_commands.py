@@ -494,9 +494,10 @@ def test_what_a_fit_of_waters_takes_for_known_is_given(folder, run, monkeypatch,
     Image.open("photos/b.png").save(wet, quality=quality)
     scene = ("--clean", "photos/a.png", "--observed", wet, "--distance", "3")
     options = ("--camera", "mine.csv", "--g", ".1", "--mu", "0.02", "--focal-px", "300")
+    options += ("--balance", "free")
     assert "seen" in run("fit", *scene, "--out", "f.json", "--model", "waters", *options)[2]
     assert (given["camera"], given["g"], given["mu"]) == ("mine.csv", 0.1, 0.02)
-    assert given["view"].focal_px == 300
+    assert (given["view"].focal_px, given["balance"]) == (300, "free")
     assert given["jpeg"] == (quality and pytest.approx(quality, abs=1))
 
 

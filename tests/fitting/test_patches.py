@@ -97,6 +97,26 @@ def test_clipped_values_do_not_count() -> None:
     assert of(fit_patches(patches, **LINEAR), "beta") == pytest.approx(RATES, rel=0.01)
 
 
+def test_another_white_balance_is_told() -> None:
+    red = (1.6, 1.0, 1.0)
+    patches = [
+        p._replace(water=tuple(x * gain for x, gain in zip(p.water, red, strict=True)))
+        if p.picture == "far"
+        else p
+        for p in charts(1, uneven=0.1, noise=0.01)
+    ]
+    assert any("has another cast" in note for note in fit_patches(patches, **LINEAR).notes)
+    assert not any("cast" in note for note in fit_patches(charts(1), **LINEAR).notes)
+
+
+def test_a_preset_is_for_pictures_of_any_exposure(tmp_path: Path) -> None:
+    fit_patches(charts(3, noise=0.01), **LINEAR).save(tmp_path / "fit.json")
+    image = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0))
+    wet = uwaug.load_preset(tmp_path / "fit.json")(image, torch.full((1, 48, 64), 1.0))[0]
+    assert wet.mean() == pytest.approx(float(image.mean()), abs=0.1)
+    assert (wet > 0.999).float().mean() < 0.05
+
+
 def test_is_a_fit_like_any_other(tmp_path: Path) -> None:
     patches = charts(3, noise=0.01)
     fit = fit_patches(patches, model="veil", **LINEAR)
@@ -126,10 +146,10 @@ def test_a_table_says_the_same_with_commas_and_semicolons(tmp_path: Path) -> Non
     ("text", "words"),
     [
         (HEADER.replace("air_blue", "blue_air"), "expected a column air_blue"),
-        (f"{HEADER}\na,1,2,.1,.1,.1,.2,.2,x", "line 2: expected a number a column"),
-        (f"{HEADER}\na,1,1,5,.1,.1,.1,.2,.2,.2", "line 2: expected a number a column"),
-        (f"{HEADER}\na,1,2,.1", "line 2: expected a number a column"),
-        (f"{HEADER}\na,1,,.1,.1,.1,.2,.2,.2", "line 2: expected a number a column"),
+        (f"{HEADER}\na,1,2,.1,.1,.1,.2,.2,x", "line 2: expected numbers"),
+        (f"{HEADER}\na,1,1,5,.1,.1,.1,.2,.2,.2", "line 2: expected numbers"),
+        (f"{HEADER}\na,1,2,.1", "line 2: expected numbers"),
+        (f"{HEADER}\na,1,,.1,.1,.1,.2,.2,.2", "line 2: expected numbers"),
     ],
 )
 def test_refuses_a_table(text: str, words: str, tmp_path: Path) -> None:
@@ -141,17 +161,18 @@ def test_refuses_a_table(text: str, words: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "options", "words"),
     [
-        ({"distance": 3.0}, LINEAR, "expected several distances"),
-        ({"distance": math.nan}, LINEAR, "expected several distances"),
-        ({"distance": math.inf}, LINEAR, "expected several distances"),
+        ({"distance": 3.0}, LINEAR, "distance must be several"),
+        ({"distance": math.nan}, LINEAR, "distance must be several"),
+        ({"distance": math.inf}, LINEAR, "distance must be several"),
         ({"chart": "a"}, LINEAR, "chart near/a lies at 1.4 to 5.5 m"),
         ({"air": (math.nan,) * 3}, LINEAR, "air"),
         ({"air": (90.0, 90.0, 90.0)}, LINEAR, "air, brightest must be in"),
         ({"water": (4095.0, 4095.0, 4095.0)}, LINEAR, "water, brightest must be in"),
-        ({"air": (120.0, 90.0, 80.0)}, {}, "divide"),
+        ({"air": (120.0, 90.0, 80.0)}, {"color_space": "srgb"}, "divide"),
+        ({"distance": 420.0}, LINEAR, "distance must be several, 0…100 m"),
         ({"water": (math.nan, 0.2, 0.2)}, LINEAR, "only 0 have a value"),
-        ({}, {"uneven": -1}, "uneven"),
-        ({}, {"model": "auto"}, "model"),
+        ({}, {"uneven": -1, **LINEAR}, "uneven"),
+        ({}, {"model": "auto", **LINEAR}, "model"),
     ],
 )
 def test_refuses(change: dict[str, object], options: dict[str, object], words: str) -> None:

@@ -44,6 +44,10 @@ def fit(
     focal_px: Annotated[
         float | None, typer.Option(help="In place of --view: focal length, px of the pictures.")
     ] = None,
+    balance: Annotated[
+        Literal["known", "free"] | None,
+        typer.Option(help="Of --model waters: white as in --clean, or a gain for each colour."),
+    ] = None,
     darkest: Annotated[
         float | None, typer.Option(help="Without --clean: what is darkest reflects; else .05.")
     ] = None,
@@ -77,6 +81,7 @@ def fit(
         if gain == "fixed" and (model == "waters" or clean is None):
             raise ValueError("--gain fixed needs --clean, and another model than waters")
         optics: dict[str, Any] = {"surfaces": surfaces, "camera": camera, "g": g, "mu": mu}
+        optics["balance"] = balance
         optics = {name: value for name, value in optics.items() if value is not None}
         if table := view_table(view, focal_px):
             optics["view"] = uwaug.View(**table)

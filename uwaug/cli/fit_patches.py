@@ -12,6 +12,10 @@ from uwaug.cli.console import print_written, reported_errors, require_writable
 def fit_patches(
     table: Annotated[Path, typer.Argument(help="CSV table: a patch of a chart in each line.")],
     out: Annotated[Path, typer.Option(help="JSON file to write.")],
+    color_space: Annotated[
+        Literal["linear", "srgb"],
+        typer.Option(help="Values of the table: of light (raw), or of a JPEG, to be decoded."),
+    ],
     model: Annotated[
         Literal["haze", "veil"], typer.Option(help="haze: one rate a colour; veil: two.")
     ] = "haze",
@@ -21,9 +25,6 @@ def fit_patches(
     distance_error: Annotated[
         float, typer.Option(help="Standard deviation of distances, as a share.")
     ] = 0.0,
-    color_space: Annotated[
-        Literal["srgb", "linear"], typer.Option(help="Values of the table; linear: of light.")
-    ] = "srgb",
     figure: Annotated[Path | None, typer.Option(help="PNG file of the fit to write.")] = None,
     force: Force = False,
 ) -> None:
@@ -39,10 +40,10 @@ def fit_patches(
             require("plot", "matplotlib")
         result = fitting.fit_patches(
             fitting.read_patches(table),
+            color_space=color_space,
             model=model,
             uneven=uneven,
             distance_error=distance_error,
-            color_space=color_space,
         )
         result.save(out)
         print(result.summary())

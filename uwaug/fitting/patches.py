@@ -33,6 +33,7 @@ from uwaug.fitting.solve import (
     solve,
 )
 from uwaug.formation.colour import decoded, require_values
+from uwaug.formation.development import Development
 from uwaug.formation.setting import Setting
 
 _MIN_PATCHES = 12  # values of each colour that a fit needs: four of each of its numbers
@@ -42,8 +43,10 @@ _MAX_LOG = 5.0  # of a chart's light and distance: it is far off
 _ROUGH_SHARE, _ROUGH_FLOOR = 0.05, 1e-3  # noise of a first fit: a share of the light, and a least
 _ROUNDS = 3  # of noise that is learnt from residuals
 _UNEVEN_LIGHT = 1.5  # ratio of the lights on charts that is worth a note
+_MAX_CAST = 0.05  # difference of the median errors of two colours of a picture
 _CHART_DEPTH = 1.5  # ratio of the distances of the patches of one chart, which may lean
-_BRIGHTEST = (0.01, 10.0)  # values that may be the largest of all
+_BRIGHTEST = (0.01, 2.0)  # values that may be the largest of all
+_FARTHEST = 100.0  # m; nobody sees a chart farther away, so it is another unit
 
 
 class Patch(NamedTuple):
@@ -66,7 +69,7 @@ class Patch(NamedTuple):
 
 
 def read_patches(path: str | os.PathLike[str]) -> list[Patch]:
-    """Read patches from a CSV file with commas, or with semicolons and decimal commas.
+    """Read patches from a CSV file with commas; or semicolons or tabs, and decimal commas.
 
     Args:
         path: a file whose first line names the columns, in any order: distance (m), air_red,
@@ -79,7 +82,8 @@ def read_patches(path: str | os.PathLike[str]) -> list[Patch]:
         OSError: if it cannot be read.
     """
     text = read_text(Path(path))
-    mark = ";" if ";" in text.partition("\n")[0] else ","
+    first = text.partition("\n")[0]
+    mark = next((mark for mark in ";\t" if mark in first), ",")
     rows = csv.DictReader(io.StringIO(text, newline=""), delimiter=mark, restval="")
     header = [name.strip().lower() for name in rows.fieldnames or ()]
     rows.fieldnames = header
@@ -97,7 +101,7 @@ def read_patches(path: str | os.PathLike[str]) -> list[Patch]:
             if None in row:
                 raise ValueError
         except ValueError:
-            got = f"expected a number a column, got {', '.join(cells)}"
+            got = f"expected numbers, got {', '.join(cells)}"
             raise ValueError(f"{path}, line {rows.line_num}: {got}") from None
         picture = row.get("picture", "").strip()
         chart = row.get("chart", "").strip() or f"{distance:g} m"
@@ -108,27 +112,28 @@ def read_patches(path: str | os.PathLike[str]) -> list[Patch]:
 def fit_patches(
     patches: Sequence[Patch],
     *,
+    color_space: ColorSpace,
     model: Literal["haze", "veil"] = "haze",
     uneven: float = _UNEVEN,
     distance_error: float = 0.0,
-    color_space: ColorSpace = "srgb",
 ) -> Fit:
     """Recover a water from patches of charts at known distances, such as a diver photographs with a
     tape measure. Each picture has an exposure, and each chart a light of its own.
 
     Args:
         patches: of one water; pictures of other exposures, or other charts, may be among them.
+        color_space: "linear": values are taken as is, of 0…1 in any camera's space, but `air` and
+            `water` in one. "srgb": they are decoded.
         model: "haze": one coefficient for the light of a patch and the veil, as there is where
             patches are wider than the blur; or "veil": a coefficient for each.
         uneven: standard deviation of the logarithm of the light on charts, 0…2; 0 if all are lit
             alike. A chart in deep shade counts for less.
         distance_error: standard deviation of distances, as a share of each, 0…2.
-        color_space: "srgb": values are decoded to linear light. "linear": they are taken as is, of
-            0…1 in any camera's space, but `air` and `water` of one.
 
     Returns:
-        The fit, with the exposure of the first picture. Numbers are those of `uwaug.fit`, and
-        exposure of each picture (times that of the first), light of each chart.
+        The fit. Numbers are those of `uwaug.fit`, with the exposure of the first picture, and
+        exposure of each picture (times that of the first), light of each chart. Its setting is for
+        sRGB pictures of any exposure: the gain of the charts is metered away.
 
     Raises:
         TypeError, ValueError: if a number does not suit; fewer than 12 patches have all colours; or
@@ -177,7 +182,7 @@ def fit_patches(
         model=model,
         parameters=numbers,
         covariance=matrix,
-        setting=Setting(medium, color_space=color_space),
+        setting=Setting(medium, development=Development(metered=True)),
         geometry=geometry,
         rms=float(error[pixels.weights > 0].square().mean().sqrt()),
         notes=(*notes, *straight_line(rates, geometry.farthest), *unknown(numbers)),
@@ -289,20 +294,20 @@ def _pixels(patches: Sequence[Patch], chart_of: Places, color_space: ColorSpace)
         torch.tensor(values, dtype=torch.float64).reshape(-1, 3).T.reshape(1, 3, 1, -1)
         for values in ([patch.air for patch in patches], [patch.water for patch in patches])
     )
-    is_used = (water > 0) & (water < (1 if color_space == "srgb" else math.inf))
-    if (count := int(is_used.sum(3).min())) < _MIN_PATCHES:
-        got = f"only {count} have a value between black and white of each colour"
-        raise ValueError(f"patches: {got}, expected at least {_MIN_PATCHES}")
     nearest, farthest = float(z.min()), float(z.max())
-    if not 0 < nearest <= farthest - MIN_SPAN * float(z.median()) or farthest >= checks.OPEN:
-        got = f"{nearest:g} to {farthest:g} m"
-        raise ValueError(f"patches: expected several distances > 0, got {got}")
-    checks.metres("patches: distance", z[None])
+    if not 0 < nearest <= farthest - MIN_SPAN * float(z.median()) or farthest > _FARTHEST:
+        got = f"{nearest:g} to {farthest:g}"
+        raise ValueError(f"patches: distance must be several, 0…{_FARTHEST:g} m, got {got}")
+    # white is clipped
+    is_used = (water > 0) & (water < 1)
     water = torch.where(water.isnan(), 0.0, water)
     for name, light in (("patches: air", air), ("patches: water", water)):
         _, high = require_values(light, color_space, name)
         # noise, and what shows, are of light whose white is about 1
         checks.within(f"{name}, brightest", high, *_BRIGHTEST)
+    if (count := int(is_used.sum(3).min())) < _MIN_PATCHES:
+        got = f"only {count} have a value between black and white of each colour"
+        raise ValueError(f"patches: {got}, expected at least {_MIN_PATCHES}")
     air, water = decoded(air, color_space), decoded(water, color_space)
     return Pixels(
         clean=air,
@@ -340,17 +345,21 @@ def _solved(objective: _WithSpreads) -> tuple[_WithSpreads, Solution]:
 
 
 def _notes(model: _PatchModel, theta: Array, errors: Tensor) -> list[str]:
-    """Sentences on a fit whose values are off by shares of themselves."""
-    off = float(errors[errors.isfinite()].abs().median())
+    """Sentences on a fit whose values are off by shares of themselves (1x3x1xN)."""
+    errors = torch.where(errors.isfinite(), errors, torch.nan)[0, :, 0]
     notes = [
         f"Model {model.name!r}: {model.water.spec.words}.",
-        f"Half of all values are off by less than {100 * off:.2g} %.",
+        f"Half of all values are off by less than {100 * float(errors.abs().nanmedian()):.2g} %.",
     ]
     light = model.factors(theta)["light"]
     if light.max() > _UNEVEN_LIGHT * light.min():
         darkest, brightest = (model.charts[int(i)] for i in (light.argmin(), light.argmax()))
         notes.append(
             f"Charts are lit unevenly: {darkest} by {light.min():.2g}, {brightest} by "
-            f"{light.max():.2g} of the common light."
+            f"{light.max():.2g} of the common light. Look for shade, a tone curve, or a wrong name."
         )
+    for i, picture in enumerate(model.pictures):
+        colours = errors[:, torch.from_numpy(model.picture_of == i)].nanmedian(1).values
+        if float(colours.max() - colours.min()) > _MAX_CAST:
+            notes.append(f"{picture} has another cast: is its white balance that of the others?")
     return notes
