@@ -80,8 +80,13 @@ def fit(
             require("plot", "matplotlib")
         if gain == "fixed" and (model == "waters" or clean is None):
             raise ValueError("--gain fixed needs --clean, and another model than waters")
-        optics: dict[str, Any] = {"surfaces": surfaces, "camera": camera, "g": g, "mu": mu}
-        optics["balance"] = balance
+        optics: dict[str, Any] = {
+            "surfaces": surfaces,
+            "camera": camera,
+            "g": g,
+            "mu": mu,
+            "balance": balance,
+        }
         optics = {name: value for name, value in optics.items() if value is not None}
         if table := view_table(view, focal_px):
             optics["view"] = uwaug.View(**table)
