@@ -35,6 +35,7 @@ from uwaug._support.types import Shape
 
 Array = NDArray[np.float64]
 
+PAPER_G = 0.2  # of the paper's water
 GREEN = 1  # of BGR and of RGB
 FOCAL, SHORT_SIDE = 7175.0, 4912.0  # px, of the camera
 CLIPPED = 0.95
@@ -184,7 +185,7 @@ def calibrated(lengths: Any, focal: float = FOCAL) -> tuple[Any, Any]:
 
 
 def paper(lengths: Any, short_side: float = SHORT_SIDE) -> tuple[Any, Any]:
-    return law(PointSpread.paper(), Scattering.PAPER.g, lengths, short_side / 518)
+    return law(PointSpread.paper(), PAPER_G, lengths, short_side / 518)
 
 
 def core(board: Board, side: Side) -> tuple[float, float]:
