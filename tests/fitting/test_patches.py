@@ -109,6 +109,22 @@ def test_another_white_balance_is_told() -> None:
     assert not any("cast" in note for note in fit_patches(charts(1), **LINEAR).notes)
 
 
+def test_light_that_fades_at_another_rate_than_the_veil_is_told() -> None:
+    patches = []
+    for p in charts(1, uneven=0.1, noise=0.01):
+        fog = [
+            EXPOSURES[p.picture] * v * -math.expm1(-g * p.distance)
+            for v, g in zip(VEIL, RATES, strict=True)
+        ]
+        fading = math.exp(-0.15 * p.distance)
+        seen = tuple(v + (x - v) * fading for x, v in zip(p.water, fog, strict=True))
+        patches.append(p._replace(water=seen))
+    assert any(
+        "another rate than the veil" in note for note in fit_patches(patches, **LINEAR).notes
+    )
+    assert not any("another rate" in note for note in fit_patches(charts(1), **LINEAR).notes)
+
+
 def test_a_preset_is_for_pictures_of_any_exposure(tmp_path: Path) -> None:
     fit_patches(charts(3, noise=0.01), **LINEAR).save(tmp_path / "fit.json")
     image = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0))

@@ -43,6 +43,7 @@ _MAX_LOG = 5.0  # of a chart's light and distance: it is far off
 _ROUGH_SHARE, _ROUGH_FLOOR = 0.05, 1e-3  # noise of a first fit: a share of the light, and a least
 _ROUNDS = 3  # of noise that is learnt from residuals
 _UNEVEN_LIGHT = 1.5  # ratio of the lights on charts that is worth a note
+_SURE_ERRORS = 4.0  # standard errors between two rates that are worth a note
 _MAX_CAST = 0.05  # difference of the median errors of two colours of a picture
 _CHART_DEPTH = 1.5  # ratio of the distances of the patches of one chart, which may lean
 _BRIGHTEST = (0.01, 2.0)  # values that may be the largest of all
@@ -177,6 +178,8 @@ def fit_patches(
         medium, rest = water.medium(coefficients), remainder(objective, theta)
         error = patch_model.render(theta, pixels) - pixels.observed
         notes = _notes(patch_model, theta, error / pixels.observed)
+        if model == "haze":
+            notes += _rates_apart(objective, theta)
     rates = dict(zip(COLOURS, coefficients.G.tolist(), strict=True))
     return Fit(
         model=model,
@@ -342,6 +345,22 @@ def _solved(objective: _WithSpreads) -> tuple[_WithSpreads, Solution]:
         objective = _WithSpreads(model, replace(pixels, weights=weights))
         solution = solve(objective, solution.theta)
     return objective, solution
+
+
+def _rates_apart(objective: _WithSpreads, theta: Array) -> list[str]:
+    """The sentence, if any, on colours whose light fades at another rate than their veil grows."""
+    water = replace(objective.model.water, spec=MODELS["veil"])
+    model = replace(objective.model, water=water)
+    numbers = dict(zip(objective.model.bounds, theta.tolist(), strict=True))
+    # from G = β
+    start = np.array([numbers.get(name, 1.0) for name in model.bounds])
+    apart = _WithSpreads(model, objective.pixels)
+    theta = solve(apart, start).theta
+    errors = np.sqrt(np.diag(_covariance(apart, theta).matrix))
+    offs = dict(zip(model.bounds, np.abs(theta - 1) > _SURE_ERRORS * errors, strict=True))
+    if not (colours := [colour for colour in COLOURS if offs[f"share_{colour}"]]):
+        return []
+    return [f"Light fades at another rate than the veil in {', '.join(colours)}: try model veil."]
 
 
 def _notes(model: _PatchModel, theta: Array, errors: Tensor) -> list[str]:
