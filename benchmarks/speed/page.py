@@ -55,7 +55,7 @@ def twin(water: str, settings: dict[str, float]) -> uwaug.RandomUnderwater:
             field=None,
             color_matrix=camera["color_matrix"],
         ),
-        light=None,
+        light=uwaug.RandomLight(share=0.0, pitch=0.0),  # no lamps, and level
         development=uwaug.RandomDevelopment(
             camera["exposure"],
             white_balance=camera["white_balance"],
