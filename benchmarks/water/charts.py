@@ -24,17 +24,16 @@ from torch.nn.functional import huber_loss
 import uwaug
 from benchmarks.figures.charts import STYLE, save_small
 from benchmarks.harness import use_threads
+from benchmarks.water.patches import GREYS, LIGHT_SD
 from uwaug.fitting import Patch, fit_patches, fit_veil
 from uwaug.formation.learnable import LearnableMedium
 from uwaug.optics.jerlov import JERLOV_TYPES
 
 Array = Any
-GREYS = ("gray1", "gray2", "gray3", "gray4", "black")
 COLOURS = ("red", "yellow", "green", "blue", "purple", "magenta", "maroon")
 """Patches whose colour in air the kit trusts."""
 
 GREEN = 1
-UNEVEN = 0.3  # standard deviation of the logarithm of the light on charts
 RESAMPLES = 1000
 STEPS = 4000  # of Adam
 
@@ -89,11 +88,11 @@ class Model(NamedTuple):
         direct = light * air * self.light(chart.distance)
         return exposure * (direct + self.veil(chart.distance))
 
-    def exposure(self, charts: Sequence[Seen], uneven: float) -> float:
+    def exposure(self, charts: Sequence[Seen]) -> float:
         """Exposure of the picture in which charts are."""
 
         def residual(logs: Array) -> Array:
-            rows = [logs[1:] / uneven]
+            rows = [logs[1:] / LIGHT_SD]
             for chart, log in zip(charts, logs[1:], strict=True):
                 air, water = values(chart)
                 expected = self.seen(air, chart, np.exp(logs[0]), np.exp(log))
@@ -148,7 +147,7 @@ def by_adam(charts: Sequence[Seen]) -> uwaug.Medium:
         log = seen.log() + (exposures - exposures[0])[picture_of] - water.clamp(min=1e-4).log()
         loss = huber_loss(log / 0.05, torch.zeros_like(log), reduction="sum")
         adam.zero_grad()
-        (loss + (lights / UNEVEN).square().sum() / 2).backward()
+        (loss + (lights / LIGHT_SD).square().sum() / 2).backward()
         adam.step()
     medium: uwaug.Medium = learnable()
     return medium
@@ -235,7 +234,7 @@ def left_out(charts: Sequence[Seen], folds: Sequence[Fold]) -> dict[str, list[Pr
             model = arm(trained)
             for chart in (charts[i] for i in fold.left_out):
                 same = [x for x in trained if x.picture == chart.picture]
-                rows[name].append(predicted(model, chart, model.exposure(same or [chart], UNEVEN)))
+                rows[name].append(predicted(model, chart, model.exposure(same or [chart])))
         for chart in (charts[i] for i in fold.left_out):
             same = [x for x in trained if x.picture == chart.picture] or trained
             near = min(same, key=lambda x: abs(x.distance - chart.distance))
@@ -340,7 +339,7 @@ def colours(kit: Path) -> dict[str, Any]:
     for known, (i,) in folds_of(greys)["each chart"]:
         model, chart = fitted([greys[k] for k in known]), charts[greys[i][:2]]
         same = [greys[k] for k in known if greys[k].picture == chart.picture]
-        errors = predicted(model, chart, model.exposure(same, UNEVEN)).errors("lit")
+        errors = predicted(model, chart, model.exposure(same)).errors("lit")
         for name, error in zip(chart.air, errors, strict=True):
             if name in COLOURS:
                 rows[name].append(error)

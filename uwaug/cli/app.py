@@ -16,8 +16,7 @@ from uwaug.cli.degrade import Grouped, degrade
 from uwaug.cli.depth import depth
 from uwaug.cli.export import check, export
 from uwaug.cli.figures import compare, demo, plot
-from uwaug.cli.fit import fit
-from uwaug.cli.fit_patches import fit_patches
+from uwaug.cli.fit import fit, fit_patches
 from uwaug.cli.page import page
 from uwaug.cli.preset import preset, waters
 from uwaug.cli.warm_up import warm_up

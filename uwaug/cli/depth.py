@@ -52,14 +52,21 @@ def depth(
 
         checks.one_of("holds", holds, _HOLDS)
         kind = {"inverse": Inverse, "relative": Relative, "metres": Metres}[holds]
-        sides = {"short_side": short_side, "multiple": multiple}
-        model = Network(network, holds=kind(), mean=mean, std=std, **sides)
+        model = Network(
+            network,
+            holds=kind(),
+            short_side=short_side,
+            multiple=multiple,
+            mean=mean,
+            std=std,
+        )
         rows = propose(pictures, exclude=[out])
         if unread := left_out(pictures, [out]):
             print(f"left out, as such files are not read: {unread}")
         with counted() as progress:
-            how = {"workers": workers, "resume": resume, "force": force, "progress": progress}
-            summary = write_maps(model, rows, out, **how)
+            summary = write_maps(
+                model, rows, out, workers=workers, resume=resume, force=force, progress=progress
+            )
     print_counts(summary, "maps", out)
     end_if_failed(summary.failures)
     flags = f"--set distance.kind={kind.__name__} --set distance.near=1 --set distance.far=5"

@@ -1,18 +1,24 @@
-"""`uwaug fit`: the water of a picture."""
+"""`uwaug fit` and `uwaug fit-patches`: the water of pictures, or of charts in them."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from uwaug.cli.choices import Distance, Force, Unit, number_or_word, read_metres, view_table
 from uwaug.cli.console import print_written, reported_errors, require_writable
 
+if TYPE_CHECKING:
+    from uwaug.fitting import Fit
+
+Out = Annotated[Path, typer.Option(help="JSON file to write.")]
+Figure = Annotated[Path | None, typer.Option(help="PNG file of the fit to write.")]
+
 
 def fit(
     observed: Annotated[Path, typer.Option(help="Picture of the scene in the water.")],
     distance: Distance,
-    out: Annotated[Path, typer.Option(help="JSON file to write.")],
+    out: Out,
     clean: Annotated[
         Path | None,
         typer.Option(help="Picture of it without water; else the veil alone is estimated."),
@@ -58,17 +64,14 @@ def fit(
         Literal["srgb", "linear"],
         typer.Option(help="Values of the pictures; linear: as they are, of light or of a haze."),
     ] = "srgb",
-    figure: Annotated[Path | None, typer.Option(help="PNG file of the fit to write.")] = None,
+    figure: Figure = None,
     force: Force = False,
 ) -> None:
     """Recover a water from pictures without it and in it; or its veil from the latter alone."""
-    require_writable(out, force=force, endings=(".json",))
-    if figure is not None:
-        require_writable(figure, force=force, endings=(".png",))
+    _require_files(out, figure, force=force)
     import torch
 
     import uwaug
-    from uwaug._support.extras import require
     from uwaug.distance import Metres
     from uwaug.distance.unknown import of_metres
     from uwaug.files.pictures import read_picture
@@ -76,8 +79,6 @@ def fit(
     from uwaug.fitting.data import jpeg_quality
 
     with reported_errors():
-        if figure is not None:
-            require("plot", "matplotlib")
         if gain == "fixed" and (model == "waters" or clean is None):
             raise ValueError("--gain fixed needs --clean, and another model than waters")
         optics: dict[str, Any] = {
@@ -116,9 +117,58 @@ def fit(
                 result = fit_water(dry, wet, z, **options, **optics)
             else:
                 result = uwaug.fit(dry, wet, z, model=model, gain=gain, **options)
-        result.save(out)
-        print(result.summary())
-        print_written(out)
-        if figure is not None:
-            result.plot().savefig(figure)
-            print_written(figure)
+        _write(result, out, figure)
+
+
+def fit_patches(
+    table: Annotated[Path, typer.Argument(help="CSV table: a patch of a chart in each line.")],
+    out: Out,
+    color_space: Annotated[
+        Literal["linear", "srgb"],
+        typer.Option(help="Values of the table: of light (raw), or of a JPEG, to be decoded."),
+    ],
+    model: Annotated[
+        Literal["haze", "veil"], typer.Option(help="haze: one rate a colour; veil: two.")
+    ] = "haze",
+    uneven: Annotated[
+        float, typer.Option(help="Standard deviation of the light on charts, as a share.")
+    ] = 0.3,
+    distance_error: Annotated[
+        float, typer.Option(help="Standard deviation of distances, as a share.")
+    ] = 0.0,
+    figure: Figure = None,
+    force: Force = False,
+) -> None:
+    """Recover a water from patches of colour charts at known distances."""
+    _require_files(out, figure, force=force)
+    from uwaug import fitting
+
+    with reported_errors():
+        result = fitting.fit_patches(
+            fitting.read_patches(table),
+            color_space=color_space,
+            model=model,
+            uneven=uneven,
+            distance_error=distance_error,
+        )
+        _write(result, out, figure)
+
+
+def _require_files(out: Path, figure: Path | None, *, force: bool) -> None:
+    """Refuse files that cannot be written, before anything is fitted."""
+    require_writable(out, force=force, endings=(".json",))
+    if figure is not None:
+        require_writable(figure, force=force, endings=(".png",))
+        from uwaug._support.extras import require
+
+        with reported_errors():
+            require("plot", "matplotlib")
+
+
+def _write(result: "Fit", out: Path, figure: Path | None) -> None:
+    result.save(out)
+    print(result.summary())
+    print_written(out)
+    if figure is not None:
+        result.plot().savefig(figure)
+        print_written(figure)

@@ -192,12 +192,11 @@ def fit_water(
     pictures = Pictures.of(clean, observed, distance, color_space, jpeg)
     geometry = pictures.geometry
     law = PointSpread.calibrated() if point_spread is None else point_spread
-    view = View.of(view)
+    view, gains = View.of(view), _GAINS[balance]
     checks.instance("point_spread", law, PointSpread)
     models = [
         TypeModel(
-            *(Water.jerlov(name), camera, kind, g, mu, law, view, vertical_depth),
-            *(geometry, _GAINS[balance]),
+            Water.jerlov(name), camera, kind, g, mu, law, view, vertical_depth, geometry, gains
         )
         for kind in (get_args(Surfaces) if surfaces == "auto" else (surfaces,))
         for name in JERLOV_TYPES
