@@ -36,7 +36,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "raw": {"water": RandomWater(contrast=None, color_matrix=None), "development": RAW},
     "one water": {"water": "7C"},
     "waters": {"water": ["II", "II", TANK, "chlorophyll=5,cdom=.3"]},
-    "everything random": {"water": RandomWater(**EVERYTHING)},
+    "everything random": {"water": RandomWater(["IB", COAST], **EVERYTHING)},
     "contents": {"water": RandomWater([COAST, "II", TANK], mixing=(0.0, 1.0))},
     "fit": {"water": [FIT, "II"]},
     "camera": {"water": RandomWater(camera=LASERS)},

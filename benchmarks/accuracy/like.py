@@ -180,7 +180,7 @@ def main(
                     )
                 },
                 "seconds": seconds,
-                "doubt": bool(augment.nearness and augment.nearness.doubt),
+                "doubt": bool(augment.conditions.nearness.doubt),
             }
         )
         if n % 10 == 9:

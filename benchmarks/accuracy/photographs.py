@@ -11,6 +11,7 @@ on the water more than on the scene, and five shares of two clouds of such numbe
 and of the test sets of EUVP, UFO and SUIM; without those that a network made.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -129,17 +130,21 @@ def neutral(numbers: dict[str, float]) -> bool:
     return abs(numbers["a_mean"]) < 5 and abs(numbers["b_mean"]) < 8
 
 
-def closeness(draws: list[dict[str, float]]) -> Numbers:
-    """`MEASURES` of draws, each by all numbers of a picture and by those of water (5x2)."""
+def closeness(draws: list[dict[str, float]], sets: Sequence[str] = ()) -> Numbers:
+    """`MEASURES` of draws, each by all numbers of a picture and by those of water (5x2); by the
+    photographs of some sets, or of all.
+    """
     photographs, names, groups = load_photographs()
     drawn = np.array([[numbers[name] for name in names] for numbers in draws])
-    real, drawn = _standardised(photographs, drawn, groups)
+    real, drawn = standardised(photographs, drawn, groups)
+    chosen = np.isin(groups, sets or groups)
+    real, groups = real[chosen], groups[chosen]
     water = [names.index(name) for name in WATER_FEATURES]
     of_water = _shares(real[:, water], drawn[:, water], groups)
     return np.stack([_shares(real, drawn, groups), of_water], 1)
 
 
-def _standardised(real: Numbers, drawn: Numbers, groups: NDArray[Any]) -> tuple[Numbers, Numbers]:
+def standardised(real: Numbers, drawn: Numbers, groups: NDArray[Any]) -> tuple[Numbers, Numbers]:
     """Both by mean and spread of the photographs; far outliers are held at 4."""
     kept = [np.flatnonzero(groups == group)[:_MOST_OF_A_GROUP] for group in np.unique(groups)]
     low, high = np.percentile(real, [0.5, 99.5], axis=0)

@@ -29,6 +29,7 @@ from PIL import Image
 from torch import Tensor, nn
 from torch.nn.functional import affine_grid, grid_sample, interpolate
 
+import uwaug
 from benchmarks.evidence.arms import ARMS, DEFAULTS, SHOWN, Arm, tensors
 from benchmarks.evidence.boxes import average_precisions, loss_of, matched
 from benchmarks.evidence.net import compared, keeper, resampled_units
@@ -65,7 +66,7 @@ and .422, and of swimmers .23, seen once; SGD 0. With boxes of persons alone Ada
 class Scene(NamedTuple):
     """A picture in air with what is in it."""
 
-    image: Tensor  # 3xHxW, 0…1
+    image: Tensor  # 3xHxW, 0…1, or bytes
     boxes: Tensor  # Nx4: left, top, right, bottom, px
     classes: Tensor  # N
 
@@ -82,9 +83,10 @@ def fog() -> Arm:
     return arm
 
 
+VISIBLE = "KeepVisible(RandomUnderwater())"
 NAMES = (
     *("no water", "jitter, blur", "by hand", "RandomFog", "Li 2020"),
-    *(DEFAULTS, "p=0.5", "uwaug.like", "SLURPP 2025", "colour transfer"),
+    *(DEFAULTS, "p=0.5", VISIBLE, "uwaug.like", "SLURPP 2025", "colour transfer"),
 )
 
 
@@ -92,6 +94,8 @@ def made(name: str, shown: list[Array], scenes: list[Scene], maps: list[Tensor])
     """An arm by its name; `shown` are pictures under water, for those that want some."""
     if name == "RandomFog":
         return fog()
+    if name == VISIBLE:
+        return uwaug.KeepVisible(uwaug.RandomUnderwater())
     if name in ARMS:
         return ARMS[name]()
     some = range(0, len(scenes), len(scenes) // 8)
@@ -114,15 +118,20 @@ def scenes_of(samples: Sequence[Any]) -> list[Scene]:
     return scenes
 
 
-def degraded(arm: Arm, scenes: list[Scene], maps: list[Tensor]) -> Tensor:
+def degraded(arm: Arm, scenes: list[Scene], maps: list[Tensor]) -> list[Scene]:
     """Draws of all scenes, one after another, in the upper left of squares (bytes)."""
-    squares = torch.full((len(maps), 3, SIDE, SIDE), round(255 * PAD), dtype=torch.uint8)
+    drawn = []
     for index, distance in enumerate(maps):
-        image = scenes[index % len(scenes)].image
-        height, width = image.shape[1:]
-        picture = arm(image[None], distance[None])[0].clamp(0, 1).mul(255).round().byte()
-        squares[index, :, :height, :width] = picture
-    return squares
+        image, boxes, classes = scenes[index % len(scenes)]
+        if isinstance(arm, uwaug.KeepVisible):
+            image, _, seen = arm(image, distance, {"boxes": boxes, "labels": classes})
+            boxes, classes = seen["boxes"], seen["labels"]
+        else:
+            image = arm(image[None], distance[None])[0]
+        square = torch.full((3, SIDE, SIDE), round(255 * PAD), dtype=torch.uint8)
+        square[:, : image.shape[1], : image.shape[2]] = image.clamp(0, 1).mul(255).round().byte()
+        drawn.append(Scene(square, boxes, classes))
+    return drawn
 
 
 def window(
@@ -148,24 +157,22 @@ def window(
 
 
 def tuned(
-    net: nn.Module, squares: Tensor, scenes: list[Scene], rate: float, seed: int, steps: int
+    net: nn.Module, drawn: list[Scene], count: int, rate: float, seed: int, steps: int
 ) -> float:
-    """Tune a net in place; the order and the windows hang on the seed alone. Returns seconds."""
+    """Tune a net in place on the draws of so many scenes; their order and the windows hang on the
+    seed alone. Returns seconds.
+    """
     began = time.process_time()
     rng = np.random.default_rng(seed)
-    order = np.concatenate(
-        [rng.permutation(len(scenes)) for _ in range(steps * BATCH // len(scenes) + 1)]
-    )
-    draws = rng.integers(len(squares) // len(scenes), size=len(order))
+    order = np.concatenate([rng.permutation(count) for _ in range(steps * BATCH // count + 1)])
+    draws = rng.integers(len(drawn) // count, size=len(order))
     net.train()
     optimiser = torch.optim.Adafactor(net.parameters(), rate)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, steps, cycle_momentum=False)
     for step in range(steps):
         pictures, truths = [], []
         for place in range(step * BATCH, (step + 1) * BATCH):
-            scene = scenes[order[place]]
-            square = squares[draws[place] * len(scenes) + order[place]]
-            picture, *truth = window(square, scene.boxes, scene.classes, rng)
+            picture, *truth = window(*drawn[draws[place] * count + order[place]], rng)
             pictures.append(picture.flip(0) * 255)  # BGR
             truths.append(truth)
         batch = torch.stack(pictures).to(memory_format=torch.channels_last)
@@ -275,11 +282,11 @@ def asked(bench: Bench, arm: str, rate: float, seed: int) -> dict[str, Array]:
     torch.manual_seed(seed)
     began = time.process_time()
     change = made(arm, bench.shown, bench.scenes, bench.maps)
-    squares = degraded(change, bench.scenes, bench.maps)
+    drawn = degraded(change, bench.scenes, bench.maps)
     drawing = time.process_time() - began
     net = bench.yolox.load().to(memory_format=torch.channels_last)
     steps = STEPS * LONGER.get(arm, 1)
-    seconds = tuned(net, squares, bench.scenes, rate, seed, steps)
+    seconds = tuned(net, drawn, len(bench.scenes), rate, seed, steps)
     found = bench.found(net)
     print(f"{arm}, {seed}: {drawing:.0f} + {seconds:.0f} s;", *said(bench, found), flush=True)
     return found

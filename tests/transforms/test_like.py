@@ -14,9 +14,9 @@ import uwaug
 from uwaug import MarineSnow, RandomLight, RandomUnderwater, RandomWater, Sensor, View
 from uwaug.distance import MadeUp
 from uwaug.formation.colour import srgb_to_linear
-from uwaug.transforms import RandomDevelopment, UnderwaterLike
+from uwaug.transforms import Conditions, RandomDevelopment
 from uwaug.transforms.appearance import WATER_FEATURES, water_features
-from uwaug.transforms.like import _with_kept
+from uwaug.transforms.conditions import laid_over
 
 H, W = 32, 48
 FEW: dict[str, Any] = {"draws": 90, "keep": 3}
@@ -55,15 +55,21 @@ GREEN = in_water("9C", 0.1)
 
 
 @cache
-def green() -> UnderwaterLike:
+def green() -> RandomUnderwater:
     return uwaug.like(GREEN, pictures(4), maps(4), **FEW)
+
+
+def conditions(augment: RandomUnderwater) -> Conditions:
+    assert augment.conditions is not None
+    return augment.conditions
 
 
 def test_draws_look_like_the_photograph() -> None:
     assert far(green()) < 0.75 * far(RandomUnderwater())
-    assert green().nearness is not None
-    assert green().nearness.kept < 0.8 * green().nearness.drawn
-    assert f"{green().nearness.kept:.2f}" in str(green().nearness)
+    nearness = conditions(green()).nearness
+    assert nearness is not None
+    assert nearness.kept < 0.8 * nearness.drawn
+    assert f"{nearness.kept:.2f}" in str(nearness)
 
 
 def test_water_is_kept_and_the_rest_is_drawn_anew() -> None:
@@ -71,7 +77,7 @@ def test_water_is_kept_and_the_rest_is_drawn_anew() -> None:
     snowy = RandomWater(snow=MarineSnow((500, 5000)))
     augment = RandomUnderwater(snowy, distance=MadeUp(), development=noisy)
     found = uwaug.like(GREEN, pictures(2), augment=augment, **FEW)
-    assert not any("seed" in name for kept in found.kept for name in flat(kept))
+    assert not any("seed" in name for kept in conditions(found).rows for name in flat(kept))
     samples = [flat(sample) for sample in found.make_params(pictures(40))["samples"]]
     for name in ("water.clearness", "water.snow.density", "development.noise.full_well"):
         assert len({sample[name] for sample in samples}) == 3
@@ -86,16 +92,16 @@ def test_it_is_written_and_read_as_any_other() -> None:
     record = json.loads(json.dumps(green().make_params(image)))
     read = RandomUnderwater.from_dict(json.loads(json.dumps(green().to_dict())))
     for twin in (read, pickle.loads(pickle.dumps(green()))):
-        assert isinstance(twin, UnderwaterLike)
-        assert "nearness" not in twin.to_dict()
+        assert "nearness" not in twin.to_dict()["conditions"]
         assert same(twin.transform(image, z, record), green().transform(image, z, record))
         assert same(twin.at(1, 2, 3)(image, z)[0], green().at(1, 2, 3)(image, z)[0])
 
 
 def test_the_same_seed_keeps_the_same_draws() -> None:
     torch.manual_seed(123)
-    assert uwaug.like(GREEN, pictures(4), maps(4), **FEW).kept == green().kept
-    assert uwaug.like(GREEN, pictures(4), maps(4), seed=1, **FEW).kept != green().kept
+    rows = conditions(green()).rows
+    assert conditions(uwaug.like(GREEN, pictures(4), maps(4), **FEW)).rows == rows
+    assert conditions(uwaug.like(GREEN, pictures(4), maps(4), seed=1, **FEW)).rows != rows
 
 
 def test_draws_spread_over_all_photographs_and_serve_each_other() -> None:
@@ -113,7 +119,8 @@ def test_draws_spread_over_all_photographs_and_serve_each_other() -> None:
         found = uwaug.like(
             iter([GREEN, blue, red, blue]), pictures(4), maps(4), augment=counting, **FEW
         )
-    nearness, names = found.nearness, [one["water"]["waters"][0] for one in found.kept]
+    nearness = conditions(found).nearness
+    names = [row["water"]["waters"][0] for row in conditions(found).rows]
     assert nearness is not None
     assert len(names) == 4 * FEW["keep"]
     assert set(names[:3]) == {"9C"}
@@ -130,10 +137,9 @@ def test_a_photograph_is_srgb_where_pictures_are_linear_light() -> None:
     dim = 0.4 * GREEN  # taken for linear light, it lies .26 off
     found = uwaug.like(dim, srgb_to_linear(pictures(2)), maps(2), augment=linear, **FEW)
     seen = uwaug.like(dim, pictures(2), maps(2), augment=RandomUnderwater("9C"), **FEW)
-    assert found.nearness is not None
-    assert seen.nearness is not None
+    drawn = [getattr(conditions(augment).nearness, "drawn", None) for augment in (found, seen)]
     # but for what resampling in linear light changes
-    assert found.nearness.drawn == pytest.approx(seen.nearness.drawn, rel=0.07)
+    assert drawn[0] == pytest.approx(drawn[1], rel=0.07)
 
 
 def liked(**options: Any) -> Any:
@@ -142,7 +148,8 @@ def liked(**options: Any) -> Any:
 
 
 def keeping(*kept: dict[str, Any]) -> Any:
-    return lambda: UnderwaterLike("9C", kept=[{"water": each} for each in kept])
+    rows = [{"water": each} for each in kept]
+    return lambda: RandomUnderwater("9C", conditions=Conditions(rows))
 
 
 REFUSED = [
@@ -169,14 +176,15 @@ def test_what_is_refused(call: Any, words: str) -> None:
 
 
 def test_kept_draws_are_draws_of_the_transform() -> None:
-    (drawn,) = UnderwaterLike("9C", kept=[{"water": {"g": 0.3}}]).make_params(GREEN)["samples"]
+    augment = RandomUnderwater("9C", conditions=Conditions([{"water": {"g": 0.3}}]))
+    (drawn,) = augment.make_params(GREEN)["samples"]
     assert (drawn["water"]["waters"], drawn["water"]["g"]) == (["9C"], 0.3)
 
 
 def test_kept_daylight_has_no_lamps() -> None:
     (sample,) = RandomUnderwater(light=RandomLight(share=1.0)).make_params(pictures(1))["samples"]
     assert "rig" in sample["light"]
-    assert _with_kept(sample, {"light": {"pitch": 3.0}})["light"] == {"pitch": 3.0}
+    assert laid_over(sample, {"light": {"pitch": 3.0}})["light"] == {"pitch": 3.0}
 
 
 @pytest.mark.filterwarnings("ignore:even the nearest draws")

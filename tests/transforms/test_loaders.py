@@ -67,7 +67,7 @@ def equal(one: dict[int, Tensor], other: dict[int, Tensor]) -> bool:
 
 
 def test_keys_do_not_depend_on_workers(crops: Crops) -> None:
-    dataset = Keyed(crops, RandomUnderwater(RandomWater(mixing=(0, 1))))
+    dataset = Keyed(crops, RandomUnderwater(RandomWater(["II", "3C"], mixing=(0, 1))))
     before = torch.get_num_threads()
     torch.set_num_threads(2)  # the main process has more than a worker
     expected = run(loader(dataset, workers=0))

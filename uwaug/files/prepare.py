@@ -57,7 +57,8 @@ def prepare(
         warnings.simplefilter("ignore")  # the sentences say it all
         options: Any = {"augment": recipe.transform, "seed": recipe.seed}
         transform = like(map(read_picture, references), images, maps or None, **options)
-    nearness = transform.nearness
+    assert transform.conditions is not None
+    nearness = transform.conditions.nearness
     assert nearness is not None
     count = f"{len(references)} photographs" if references[1:] else references[0]
     sentences += filter(None, (f"like {count}: {nearness}", nearness.doubt))

@@ -55,12 +55,11 @@ export function featuresOf({ pixels, width, height }) {
 }
 
 /** Numbers that a picture draws by default, but for those that are held. */
-export function drawnBy(random, settings, held, { waters, contents, ranges }) {
+export function drawnBy(random, settings, held, { contents, ranges }) {
   const drawn = { ...settings };
   const between = ([low, high], share, log) => Number((log ? low * (high / low) ** share : low + (high - low) * share).toPrecision(3));
-  const water = waters[Math.floor(random() * waters.length)];
   const inWater = Object.keys(contents).map(name => [name, between(contents[name], random(), true)]);
-  if (!held.includes("water")) Object.assign(drawn, Object.fromEntries(inWater), { water, share: 0, other: "" });
+  if (!held.includes("water")) Object.assign(drawn, Object.fromEntries(inWater), { water: "contents", share: 0, other: "" });
   for (const name in ranges) {
     const value = between(ranges[name], random(), name === "contrast");
     if (!held.includes(name)) drawn[name] = name === "white_balance" ? Math.max(value, 0) : value; // below, none

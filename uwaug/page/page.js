@@ -420,6 +420,7 @@ function optionsOf(files, everything) {
   const ofCamera = name => SLIDERS[name]?.[0] === "camera-controls" && name !== "color_matrix";
   for (const name of DRAWN) if (ofCamera(name) && held(name)) development[name] = state[name];
   if (full_well < 1e5) development.noise = { full_well, read_noise };
+  else if (everything) development.noise = null;
   if (Object.keys(ofWater).length) options.water = ofWater;
   if (Object.keys(development).length) options.development = development;
   const holes = files.holes === "error" ? {} : { holes: rounded(files.holes * times) || files.holes };

@@ -138,8 +138,7 @@ def _blur(sigma: float, cell: float, reach: float) -> dict[str, Any]:
 def _draws() -> dict[str, Any]:
     water, development = RandomWater(), RandomDevelopment()
     return {
-        "waters": [w if isinstance(w, str) else "contents" for w in random_water.WATERS],
-        "contents": random_water.CONTENTS.ranges(),
+        "contents": random_water.WATERS.ranges(),
         "severities": list(SEVERITIES.values()),
         "g": water.g,
         "ranges": {

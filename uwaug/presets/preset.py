@@ -78,9 +78,7 @@ def _of_setting(setting: Setting) -> RandomUnderwater:
     """A transform of which nothing is random but the place of snow."""
     numbers = {name: getattr(setting.development, name) for name in RandomDevelopment.PLAIN}
     numbers["metered"] = bool(numbers["metered"])
-    development = RandomDevelopment(
-        **numbers, color_space=setting.color_space, noise=setting.development.noise
-    )
+    development = RandomDevelopment(**numbers, color_space=setting.color_space)
     water = RandomWater(setting.medium, field=None)
     return RandomUnderwater(water, light=setting.light, development=development, view=setting.view)
 

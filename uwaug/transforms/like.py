@@ -1,11 +1,8 @@
-"""`like`: a search for waters that make pictures look like given photographs."""
+"""`like`: a search for conditions in which pictures look like given photographs."""
 
 import warnings
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from dataclasses import field as option
-from functools import partial
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,14 +10,22 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from uwaug._support import checks, codec
-from uwaug._support.nouns import Uniform
+from uwaug._support import checks
 from uwaug._support.once import muted
 from uwaug.distance.made_up import MadeUp
 from uwaug.distance.sources import Metres
 from uwaug.formation.colour import linear_to_srgb, require_values
-from uwaug.transforms.appearance import WATER_FEATURES, Values, water_features
-from uwaug.transforms.draws import Record, read_draws
+from uwaug.transforms.appearance import (
+    FAR_FROM,
+    WATER_FEATURES,
+    Nearness,
+    Values,
+    in_words,
+    unlikeness,
+    water_features,
+)
+from uwaug.transforms.conditions import Conditions, laid_over, mixed
+from uwaug.transforms.draws import Record
 from uwaug.transforms.random_underwater import RandomUnderwater
 from uwaug.transforms.samples import typed
 
@@ -34,84 +39,6 @@ _PARENTS = 15  # best new draws, between which others are made
 _MORE_PICTURES = 4  # on which the best are tried besides their first
 _KEPT = ("water", "light", "development")  # nouns whose draws are kept; distances are a picture's
 
-# Standard deviations of photographs from which on draws are no longer near, and a warning is due:
-# 70 and 88 % of real photographs are nearer, and a quarter of those with red and green swapped.
-_FAIR_FROM, _FAR_FROM = 0.8, 1.0
-
-_SPREADS, _COUNTS, *_ = map(np.array, zip(*WATER_FEATURES.values(), strict=True))
-# of each number: a standard deviation of photographs, on average
-_UNITS = _SPREADS * np.sqrt(np.mean(_COUNTS**2)) / _COUNTS
-
-
-class Nearness(NamedTuple):
-    """Nearness of draws to photographs; as text, a sentence.
-
-    Attributes:
-        kept, drawn: median distance of the kept draws, and of new ones, in standard deviations of
-            photographs.
-        doubt: what is off, in words, if even the draws for one of them are far; else empty.
-        of_each: `kept`, for each photograph.
-    """
-
-    kept: float
-    drawn: float
-    doubt: str
-    of_each: tuple[float, ...] = ()
-
-    def __str__(self) -> str:
-        unit = "where 1 is how much real underwater photographs differ from their mean"
-        text = f"{_verdict(self.kept)}: {self.kept:.2f} away, {unit}"
-        text = f"{text}, and random waters are {self.drawn:.2f} away"
-        if len(self.of_each) > 1:
-            verdicts = Counter(map(_verdict, sorted(self.of_each)))
-            text += "; " + ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
-        return text
-
-    def far(self) -> list[int]:
-        """Indices of the photographs that are far from anything that was tried."""
-        return [i for i, unlikeness in enumerate(self.of_each) if unlikeness >= _FAR_FROM]
-
-
-def _verdict(unlikeness: float) -> str:
-    if unlikeness < _FAIR_FROM:
-        return "near"
-    return "fair" if unlikeness < _FAR_FROM else "far from all that was tried"
-
-
-@codec.plain
-@dataclass(init=False, eq=False, repr=False)
-class UnderwaterLike(RandomUnderwater):
-    """A `RandomUnderwater` that picks water, light and development from a few, see `like`.
-
-    Args:
-        kept: {"water": …, "light": …, "development": …}, as of `make_params`. What they leave
-            out is drawn for each picture.
-        nearness: of the kept draws to the photographs; not in `to_dict`.
-    """
-
-    kept: Sequence[Mapping[str, Any]] = ()
-    nearness: Nearness | None = option(default=None, metadata={"stored": False})
-
-    def __init__(
-        self,
-        water: Any = None,
-        *,
-        kept: Sequence[Mapping[str, Any]],
-        nearness: Nearness | None = None,
-        **options: Any,
-    ) -> None:
-        super().__init__(water, **options)
-        if not kept:
-            raise ValueError("kept: expected at least one, got none")
-        self.kept, self.nearness = kept, nearness
-        sample = super()._sample(Uniform(bytes(8)))
-        for draws in self.kept:
-            read_draws({"samples": [_with_kept(sample, draws)]}, 1, self._nouns)
-
-    def _sample(self, uniform: Uniform) -> Record:
-        kept = self.kept[int(uniform("kept") * len(self.kept))]
-        return _with_kept(super()._sample(uniform), kept)
-
 
 def like(
     reference: Tensor | Iterable[Tensor],
@@ -122,8 +49,8 @@ def like(
     draws: int = 300,
     keep: int = 10,
     seed: int = 0,
-) -> UnderwaterLike:
-    """Find random waters in which pictures look like a photograph, by twelve numbers of colour and
+) -> RandomUnderwater:
+    """Find conditions in which pictures look like a photograph, by twelve numbers of colour and
     veil. They look alike; which water it is, `uwaug.fit` says.
 
     Args:
@@ -139,8 +66,9 @@ def like(
         seed: of all random numbers.
 
     Returns:
-        A `RandomUnderwater` whose draws are those kept; field, particles, noise and made-up
-        distances are drawn anew for each picture.
+        The same transform with `conditions` of its own: water, light and camera of the draws that
+        were kept, and their nearness. Field, particles, noise and made-up distances are drawn anew
+        for each picture.
 
     Warns:
         UserWarning: if even the kept draws look unlike a reference; says in what.
@@ -158,35 +86,30 @@ def like(
     if not 1 <= keep <= draws // 15:
         raise ValueError(f"draws must be 15 times keep or more, and keep 1, got {draws} and {keep}")
     photographs = [_features(photograph) for photograph, _ in _small("reference", reference, 3)]
-    small = _small("pictures", pictures, 3)
-    maps: list[Any] = [(None, 1.0)] * len(small)
-    if distance is not None:
-        maps = _small("distance", distance, 1)
-    if len(maps) != len(small):
-        raise ValueError(f"distance has {len(maps)} maps for {len(small)} pictures")
-    scenes = [
-        _Scene(picture, metres, replace(augment, view=augment.view.resized(scale)))
-        for (picture, scale), (metres, _) in zip(small, maps, strict=True)
-    ]
-    trials = _Trials(scenes, torch.Generator().manual_seed(seed))
-    kept: list[Record] = []
-    of_each, doubt = [], ""
+    search = Search(augment, pictures, distance, seed)
     with muted():
-        new = [trials.new(i) for i in range(round(_NEW_SHARE * draws))]
-        of_new = [_unlikeness(draw, photograph) for photograph in photographs for draw in new]
-        for photograph in photographs:
-            tries = draws * _LATER_SHARE if kept else draws
-            best = trials.best(new, photograph, tries, keep)
-            kept += [draw.sample for draw in best]
-            of_each.append(float(np.median([_unlikeness(draw, photograph) for draw in best])))
-            if of_each[-1] == max(of_each):
-                doubt = _doubt(best, photograph, of_each[-1])
-    if doubt:
+        search.draw(round(_NEW_SHARE * draws))
+        new = np.array([tried.features[0] for tried in search.pool])
+        of_new = [unlikeness(new, photograph) for photograph in photographs]
+        best = [
+            search.nearest(photograph, draws * (_LATER_SHARE if n else 1.0), keep)
+            for n, photograph in enumerate(photographs)
+        ]
+    of_each = [
+        float(np.median([draw.unlike(photograph) for draw in kept]))
+        for kept, photograph in zip(best, photographs, strict=True)
+    ]
+    farthest, doubt = int(np.argmax(of_each)), ""
+    if of_each[farthest] >= FAR_FROM:
+        excess = np.mean([np.mean(draw.features, 0) for draw in best[farthest]], 0)
+        away = f"{of_each[farthest]:.2f} standard deviations of photographs away"
+        words = in_words(excess - photographs[farthest])
+        doubt = f"even the nearest draws look unlike the reference, {away}: {words}"
         warnings.warn(doubt, stacklevel=2)
     medians = float(np.median(of_each)), float(np.median(of_new))
-    nearness = Nearness(*medians, doubt, tuple(of_each))
-    options = {f.name: getattr(augment, f.name) for f in fields(RandomUnderwater) if f.init}
-    return UnderwaterLike(**options, kept=tuple(kept), nearness=nearness)
+    rows = tuple(draw.condition for kept in best for draw in kept)
+    found = Conditions(rows, nearness=Nearness(*medians, doubt, tuple(of_each)))
+    return replace(augment, conditions=found)
 
 
 class _Scene(NamedTuple):
@@ -197,86 +120,85 @@ class _Scene(NamedTuple):
     augment: RandomUnderwater
 
 
-class _Draw(NamedTuple):
-    """Draws of a sample, and the features of the pictures on which they were tried."""
+class Tried(NamedTuple):
+    """A condition, and the features of the pictures on which it was tried."""
 
-    sample: Record
+    condition: Mapping[str, Any]
     first: int  # index of the first of these pictures, which are tried in turn
     features: list[Values]
 
+    def unlike(self, photograph: Values) -> float:
+        """Mean distance of these pictures from a photograph."""
+        return float(unlikeness(np.array(self.features), photograph).mean())
 
-@dataclass
-class _Trials:
-    """Draws of a transform, tried on some scenes."""
 
-    scenes: list[_Scene]
-    generator: torch.Generator
+class Search:
+    """Conditions that a transform draws, tried on pictures in air.
 
-    def new(self, first: int) -> _Draw:
-        sample = self._sample(self.scenes[0])
-        kept = {name: _without_seeds(sample[name]) for name in _KEPT}
-        return self.tried(_Draw(kept, first, []))
+    Attributes:
+        pool: those that were tried.
+    """
+
+    def __init__(self, augment: RandomUnderwater, pictures: Any, distance: Any, seed: int) -> None:
+        small, maps = _small("pictures", pictures, 3), []
+        if distance is not None:
+            maps = _small("distance", distance, 1)
+            if len(maps) != len(small):
+                raise ValueError(f"distance has {len(maps)} maps for {len(small)} pictures")
+        metres: list[Any] = [z for z, _ in maps] or [None] * len(small)
+        self._scenes = [
+            _Scene(picture, z, replace(augment, view=augment.view.resized(scale)))
+            for (picture, scale), z in zip(small, metres, strict=True)
+        ]
+        self._generator = torch.Generator().manual_seed(seed)
+        self.pool: list[Tried] = []
+
+    def draw(self, count: int, pictures: int = 1) -> None:
+        """Try so many new conditions, each on so many of the pictures, which take turns."""
+        for i in range(count):
+            sample = self._sample(self._scenes[0])
+            condition = {name: _without_seeds(sample[name]) for name in _KEPT}
+            self._try(Tried(condition, i, []), pictures)
+
+    def nearest(self, photograph: Values, tries: float, keep: int) -> list[Tried]:
+        """The conditions that are nearest to a photograph, after further tries."""
+
+        def unlike(tried: Tried) -> float:
+            return tried.unlike(photograph)
+
+        parents = sorted(self.pool, key=unlike)[:_PARENTS]
+        for _ in range(round(_BETWEEN_SHARE * tries)):
+            pair = torch.randperm(len(parents), generator=self._generator)[:2].tolist()
+            first, second = (parents[i] for i in pair)
+            share = float(torch.rand((), generator=self._generator))
+            condition = mixed(first.condition, second.condition, share)
+            self._try(Tried(condition, second.first + 1, []), 1)
+        count = round((1 - _NEW_SHARE - _BETWEEN_SHARE) * tries / _MORE_PICTURES)
+        candidates = sorted(self.pool, key=unlike)[: max(keep, count)]
+        for tried in candidates:
+            self._try(tried, 1 + _MORE_PICTURES)
+        return sorted(candidates, key=unlike)[:keep]
 
     def _sample(self, scene: _Scene) -> Record:
-        (sample,) = scene.augment.make_params(scene.picture, self.generator)["samples"]
+        (sample,) = scene.augment.make_params(scene.picture, self._generator)["samples"]
         return sample  # type: ignore[no-any-return]
 
-    def _mixed(self, first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-        mixed = {}
-        for name, value in first.items():
-            other = second.get(name)
-            if isinstance(value, Mapping):
-                mixed[name] = self._mixed(value, other or {})
-            elif isinstance(value, float) and other is not None:
-                share = float(torch.rand((), generator=self.generator, dtype=torch.float64))
-                mixed[name] = (1 - share) * value + share * other
-            else:
-                mixed[name] = value
-        return mixed
-
-    def tried(self, draw: _Draw) -> _Draw:
-        scene = self.scenes[(draw.first + len(draw.features)) % len(self.scenes)]
-        sample = {**self._sample(scene), "applied": True}
-        params = {"samples": [_with_kept(sample, draw.sample)]}
-        result = scene.augment.transform(scene.picture, scene.metres, params)
-        if scene.augment.development.color_space == "linear":
-            result = linear_to_srgb(result).clamp(0, 1)
-        draw.features.append(_features(result))
-        return draw
-
-    def best(self, pool: list[_Draw], photograph: Values, tries: float, keep: int) -> list[_Draw]:
-        unlikeness = partial(_unlikeness, photograph=photograph)
-        parents = sorted(pool, key=unlikeness)[:_PARENTS]
-        for _ in range(round(_BETWEEN_SHARE * tries)):
-            pair = torch.randperm(len(parents), generator=self.generator)[:2].tolist()
-            first, second = (parents[i] for i in pair)
-            mixed = self._mixed(first.sample, second.sample)
-            pool.append(self.tried(_Draw(mixed, second.first + 1, [])))
-        count = max(keep, round((1 - _NEW_SHARE - _BETWEEN_SHARE) * tries / _MORE_PICTURES))
-        candidates = sorted(pool, key=unlikeness)[:count]
-        for draw in candidates:
-            while len(draw.features) <= _MORE_PICTURES:
-                self.tried(draw)
-        return sorted(candidates, key=unlikeness)[:keep]
+    def _try(self, tried: Tried, pictures: int) -> None:
+        if not tried.features:
+            self.pool.append(tried)
+        while len(tried.features) < pictures:
+            scene = self._scenes[(tried.first + len(tried.features)) % len(self._scenes)]
+            sample = laid_over({**self._sample(scene), "applied": True}, tried.condition)
+            result = scene.augment.transform(scene.picture, scene.metres, {"samples": [sample]})
+            if scene.augment.development.color_space == "linear":
+                result = linear_to_srgb(result).clamp(0, 1)
+            tried.features.append(_features(result))
 
 
 def _without_seeds(draw: Mapping[str, Any]) -> dict[str, Any]:
     kept = {name: value for name, value in draw.items() if not name.endswith("seed")}
     inner = {n: _without_seeds(value) for n, value in kept.items() if isinstance(value, Mapping)}
     return kept | inner
-
-
-def _with_kept(sample: Record, kept: Mapping[str, Any]) -> Record:
-    changed = dict(sample)
-    for name, value in kept.items():
-        if isinstance(value, tuple):  # as lists are read
-            value = list(value)
-        # a light has no seed; that of daylight has no lamps
-        has_seeds = name != "light" and value and isinstance(value, Mapping)
-        if has_seeds and isinstance(sample.get(name), Mapping):
-            value = _with_kept(sample[name], value)
-        changed[name] = value
-    return changed
 
 
 def _small(name: str, tensors: Any, channels: int) -> list[tuple[Tensor, float]]:
@@ -306,20 +228,4 @@ def _small(name: str, tensors: Any, channels: int) -> list[tuple[Tensor, float]]
 
 def _features(srgb: Tensor) -> Values:
     features = water_features(srgb.permute(1, 2, 0).numpy())
-    values: Values = np.array([features[name] for name in WATER_FEATURES]) / _UNITS
-    return values
-
-
-def _unlikeness(draw: _Draw, photograph: Values) -> float:
-    return float(np.sqrt(((np.array(draw.features) - photograph) ** 2).mean(1)).mean())
-
-
-def _doubt(best: list[_Draw], photograph: Values, unlikeness: float) -> str:
-    if unlikeness < _FAR_FROM:
-        return ""
-    excess = np.mean([np.mean(draw.features, 0) for draw in best], 0) - photograph
-    worst = np.argsort(-abs(excess))[:3]
-    features = list(WATER_FEATURES.values())
-    words = ", ".join(features[i][3 if excess[i] > 0 else 2] for i in worst)
-    away = f"{unlikeness:.2f} standard deviations of photographs away"
-    return f"even the nearest draws look unlike the reference, {away}: {words}"
+    return np.array([features[name] for name in WATER_FEATURES])

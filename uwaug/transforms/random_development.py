@@ -11,6 +11,8 @@ from uwaug.formation.development import DOMAINS, Development
 from uwaug.formation.sensor import Sensor
 from uwaug.transforms.measured import Measured
 
+_SENSOR = Sensor((300.0, 1e6))  # of pictures that were made small, to dim ones of action cameras
+
 
 @codec.plain
 @dataclass(frozen=True, repr=False)
@@ -38,16 +40,17 @@ class RandomDevelopment(Noun):
         "saturation": 1.0,
         "gamut": 0.0,
         "tone": 1.0,
+        "noise": None,
     }
 
-    exposure: Range = number((-1.2, 0.9), *DOMAINS["exposure"])
+    exposure: Range = number((-1.5, 1.0), *DOMAINS["exposure"])
     metered: bool = True
-    white_balance: Range = number((-0.8, 0.5), *DOMAINS["white_balance"])
-    saturation: Range = number((0.9, 1.4), *DOMAINS["saturation"])
-    gamut: Range = number((0.85, 1.0), *DOMAINS["gamut"])
-    tone: Range = number((0.95, 1.5), *DOMAINS["tone"])
+    white_balance: Range = number((-1.0, 1.0), *DOMAINS["white_balance"])
+    saturation: Range = number((0.75, 1.5), *DOMAINS["saturation"])
+    gamut: Range = number((0.0, 1.0), *DOMAINS["gamut"])
+    tone: Range = number((0.8, 1.6), *DOMAINS["tone"])
     color_space: ColorSpace = "srgb"
-    noise: Sensor | None = None
+    noise: Sensor | None = _SENSOR
 
     def __post_init__(self) -> None:
         if self.noise is not None:

@@ -16,6 +16,7 @@ from uwaug.distance.sources import Metres, Plane, Source
 from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
 from uwaug.optics.view import WIDE, View
+from uwaug.transforms.conditions import Conditions, laid_over, photographed
 from uwaug.transforms.draws import NOUNS, Draw, Record, of_frame, read_draws
 from uwaug.transforms.measured import Measured
 from uwaug.transforms.random_development import RandomDevelopment
@@ -52,6 +53,10 @@ class RandomUnderwater(SampleTransform):
         development: a `RandomDevelopment`: what the camera does, and the colour space.
         view: of the camera, a `uwaug.View` or its angle in degrees. Of a crop give that of the
             crop, see `uwaug.View.crop`.
+        conditions: `Conditions`, of which each picture takes one: numbers of water and camera that
+            belong together. By default those of photographs, for options that are left out; one
+            that is set leaves the rest of the condition as it is, and a water that is named is as
+            clear as in nature. None: each range is drawn on its own.
         p: probability that a picture is degraded at all.
         keys: names of image and map in a dict.
 
@@ -87,6 +92,7 @@ class RandomUnderwater(SampleTransform):
     light: RandomLight | Light | Literal["auto"] | None = "auto"
     development: RandomDevelopment = option(default_factory=RandomDevelopment)
     view: View = WIDE
+    conditions: Conditions | None = option(default_factory=photographed)
     p: float = 1.0
     keys: tuple[str, str] = ("image", "distance")
 
@@ -98,6 +104,7 @@ class RandomUnderwater(SampleTransform):
         light: RandomLight | Light | Literal["auto"] | None = "auto",
         development: RandomDevelopment | None = None,
         view: View | float = WIDE,
+        conditions: Conditions | Literal["photographed"] | None = "photographed",
         p: float = 1.0,
         keys: tuple[str, str] = ("image", "distance"),
     ) -> None:
@@ -128,6 +135,16 @@ class RandomUnderwater(SampleTransform):
         light_noun = light if isinstance(light, RandomLight) else Fixed(light)
         nouns = (self.water, self.distance, light_noun, self.development)
         self._nouns: dict[str, Any] = dict(zip(NOUNS, nouns, strict=True))
+        self.conditions = photographed() if conditions == "photographed" else conditions
+        self._set = dict[str, set[str]]()  # options that win over conditions, by noun
+        if self.conditions and self.conditions.binding:
+            checks.instance("conditions", self.conditions, Conditions)
+            sample = self._sample(Uniform(bytes(8)))
+            for row in self.conditions.rows:
+                read_draws({"samples": [laid_over(sample, row)]}, 1, self._nouns)
+        elif self.conditions:
+            for name in ("water", "development"):
+                self._set[name] = {field.name for field in codec.changed(self._nouns[name])}
 
     @classmethod
     def severity(cls, level: int, water: Any = None, **options: Any) -> "RandomUnderwater":
@@ -212,7 +229,14 @@ class RandomUnderwater(SampleTransform):
         sample: Record = {"applied": uniform("applied") < self.p}
         for name, noun in self._nouns.items():
             sample[name] = noun.drawn(Uniform(uniform.key, f"{name}."))
-        return sample
+        if self.conditions is None:
+            return sample
+        condition = self.conditions.picked(uniform)
+        for noun, options in self._set.items():
+            names = sample[noun].keys() - options
+            numbers = {n: value for n, value in condition[noun].items() if n in names}
+            condition = {**condition, noun: numbers}
+        return laid_over(sample, condition)
 
     @uncompiled
     def transform(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:

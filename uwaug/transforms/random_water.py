@@ -32,18 +32,15 @@ from uwaug.transforms.measured import Measured
 
 AnyWater = str | os.PathLike[str] | Water | Constituents | Medium
 
-CONTENTS = Constituents(chlorophyll=(1.0, 9.0), cdom=(0.15, 1.2), minerals=(0.06, 1.2))
-"""Seas and coasts, blue to green. Lakes hold more CDOM, which turns them yellow."""
-
-WATERS = ("IB", "II", "III", "1C", "3C", *[CONTENTS] * 5)
-"""What else was tried, and how `VISIBLE` was chosen: benchmarks/CHOICES.md, default draws."""
+WATERS = Constituents(chlorophyll=(0.2, 15.0), cdom=(0.02, 3.0), minerals=(0.02, 2.5))
+"""Seas, coasts and pools, blue to yellow-green."""
 
 DIMMEST = 1 / 8
 """Share of the surface's light that a scene has at least, where the exposure is automatic."""
 
 _CURVES = 0.002  # tolerance of a medium's curves, in the light that a metered exposure makes of it
 
-VISIBLE = (1.8, 14.0)
+VISIBLE = (1.1, 60.0)
 """Median distances of a scene that one sees in the default waters."""
 
 PLACED_M = 2.0
@@ -106,8 +103,8 @@ class RandomWater(Noun):
             twice. None for `WATERS`.
         visibility: m at which 2 % of an object's contrast of luminance are left by daylight, see
             `Water.visibility`: what is in each water is scaled to it. None: waters stay as they
-            are; those of `WATERS`, where `waters` is None, let one see 1.8 to 14 times the median
-            distance of the scene, types as they are in nature if that is so.
+            are; those of `WATERS`, where `waters` is None, let one see 1.1 to 60 times the median
+            distance of the scene.
         contrast: share of contrast that is left at the scene's median distance, ignoring scattered
             light (see `Water.contrast`), but under lamps with it: what is in the water is scaled
             to it; of a `Medium` all rates are. None: what is left follows from the water. Metres
@@ -116,7 +113,8 @@ class RandomWater(Noun):
             the same shares of their ranges.
         vertical_depth: m below the surface; with an automatic exposure no deeper than where 1/8 of
             the light is left.
-        g: share of the scattered light that leaves the line of sight, 0…1.
+        g: share of the scattered light that leaves the line of sight, 0…1: .2 of a subject of 20°,
+            .5 of one of 6°, .05 of a wall that fills the view.
         mu: share of the scattered light sent towards the camera, 0…1. The veil of endless water has
             mu/g of the light of a white plate; a range is held at g. None for 1.5·g.
         point_spread: width law of the forward scatter; None for `PointSpread.calibrated`.
@@ -147,13 +145,13 @@ class RandomWater(Noun):
     visibility: Range | None = number(None, 1e-3, 1e3, logarithmic=True)
     contrast: Range | None = number(None, 1e-3, 1.0, logarithmic=True)
     mixing: Range = number(0.0, *DOMAIN["mixing"])
-    vertical_depth: Range = number((1.0, 10.0), *DOMAIN["vertical_depth"])
-    g: Range = number(0.05, *DOMAIN["g"])
-    mu: Range | None = number((0.022, 0.06), *DOMAIN["mu"])
+    vertical_depth: Range = number((0.0, 15.0), *DOMAIN["vertical_depth"])
+    g: Range = number(0.2, *DOMAIN["g"])
+    mu: Range | None = number((0.04, 0.2), *DOMAIN["mu"])
     point_spread: PointSpread | None = None
     field: tuple[float, float] | None = (0.8, 1.2)
     camera: str | os.PathLike[str] | Camera = "Nikon 5100 (NPL)"
-    color_matrix: Range | None = number((0.15, 0.85), *DOMAIN["color_matrix"])
+    color_matrix: Range | None = number((0.0, 1.0), *DOMAIN["color_matrix"])
     snow: MarineSnow | None = None
 
     names: Sequence[str] = derived(init=False, repr=False)
@@ -183,8 +181,8 @@ class RandomWater(Noun):
             field=None if self.field is None else as_range("field", self.field, 0.0),
         )
         self.require_ranges()
-        if self.mixes and self.has_media:
-            raise ValueError("mixing must be 0 where a water is a Medium, which has no spectra")
+        if self.mixes and (self.waters is None or self.has_media):
+            raise ValueError("mixing must be 0 without named waters, as of a Medium or by default")
 
     @cached_property
     def has_media(self) -> bool:
@@ -249,8 +247,6 @@ class RandomWater(Noun):
             least_contents = _LEAST_CONTENTS
             least, most = VISIBLE[0] * median, VISIBLE[1] * median
             visibility = least * (most / least) ** draw["clearness"]
-            if isinstance(first, str):
-                visibility = min(max(water.visibility(), least), most)
         if visibility is None:
             return water, 1.0
         contents = water.contents_for(CONTRAST_THRESHOLD, visibility)

@@ -1,0 +1,122 @@
+"""Conditions: numbers of water, light and camera that belong together."""
+
+import csv
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from dataclasses import field as option
+from functools import cache
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+from uwaug._support import codec
+from uwaug._support.nouns import Uniform
+from uwaug.optics.constituents import UNITS
+from uwaug.transforms.appearance import Nearness
+
+_PHOTOGRAPHED = Path(__file__).with_name("conditions.csv")
+BETWEEN = 0.4
+"""Share of the way to another condition of photographs; .1 leaves more of what was left out."""
+
+OF_WATER = ("clearness", "vertical_depth", "mu", "color_matrix")
+OF_DEVELOPMENT = ("exposure", "white_balance", "saturation", "gamut", "tone")
+COLUMNS = ("weight", *UNITS, *OF_WATER, *OF_DEVELOPMENT, "full_well")
+"""Numbers of a condition, as the file holds them."""
+
+_LOGARITHMIC = {*UNITS, "full_well"}
+
+
+@codec.plain
+@dataclass(frozen=True, eq=False, repr=False)
+class Conditions:
+    """Conditions of photographs: each picture takes one, all of its numbers together.
+
+    Attributes:
+        rows: {"water": …, "light": …, "development": …} of each, as `RandomUnderwater.make_params`
+            draws them, without seeds. What they leave out is drawn for each picture.
+        weights: how often each is picked; None: alike.
+        between: a picture lies up to this share of the way from its condition to another, 0…1.
+        binding: True if they hold whatever the options say; else an option that differs from its
+            default wins.
+        nearness: of the conditions to the photographs for which they were found; not in `to_dict`.
+
+    ValueError if there are none.
+    """
+
+    rows: Sequence[Mapping[str, Any]]
+    weights: Sequence[float] | None = None
+    between: float = 0.0
+    binding: bool = True
+    nearness: Nearness | None = option(default=None, metadata={"stored": False})
+
+    def __post_init__(self) -> None:
+        if not self.rows:
+            raise ValueError("conditions: expected at least one, got none")
+        weights = [1.0] * len(self.rows) if self.weights is None else self.weights
+        if len(weights) != len(self.rows) or not min(weights) >= 0 < sum(weights):
+            got = f"{len(weights)} for {len(self.rows)} conditions"
+            raise ValueError(f"weights must be one for each condition, none below 0, got {got}")
+        vars(self)["_sums"] = list(accumulate(weights))
+
+    def picked(self, uniform: Uniform) -> Mapping[str, Any]:
+        """The condition of one picture."""
+        row = self._row(uniform("condition"))
+        if self.between:
+            other, share = self._row(uniform("other condition")), uniform("between")
+            row = mixed(row, other, self.between * share)
+        return row
+
+    def _row(self, share: float) -> Mapping[str, Any]:
+        sums = vars(self)["_sums"]
+        return self.rows[bisect_right(sums, share * sums[-1])]
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self.rows)} rows)"
+
+
+@cache
+def photographed() -> Conditions:
+    """Conditions in which draws look like photographs and the frames of machines' cameras. How they
+    were found: benchmarks/README.md, conditions.
+    """
+    with _PHOTOGRAPHED.open(newline="") as file:
+        lines = csv.DictReader(file)
+        numbers = [{name: float(text) for name, text in line.items()} for line in lines]
+    weights = [row["weight"] for row in numbers]
+    return Conditions([*map(row_of, numbers)], weights, BETWEEN, binding=False)
+
+
+def row_of(numbers: Mapping[str, float]) -> dict[str, Any]:
+    """The condition of the numbers in `COLUMNS`."""
+    water = {"waters": [{name: numbers[name] for name in UNITS}]}
+    development = {name: numbers[name] for name in OF_DEVELOPMENT}
+    return {
+        "water": water | {name: numbers[name] for name in OF_WATER},
+        "development": development | {"noise": {"full_well": numbers["full_well"]}},
+    }
+
+
+def mixed(first: Any, second: Any, share: float, logarithmic: bool = False) -> Any:
+    """Numbers a share of the way from one condition to another; all else is the first's."""
+    if isinstance(first, float) and isinstance(second, float):
+        is_ratio = logarithmic and first > 0 and second > 0
+        return first * (second / first) ** share if is_ratio else first + share * (second - first)
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
+        return {
+            name: mixed(value, second.get(name), share, name in _LOGARITHMIC)
+            for name, value in first.items()
+        }
+    if isinstance(first, (list, tuple)) and isinstance(second, (list, tuple)):
+        return [mixed(*pair, share) for pair in zip(first, second, strict=False)]
+    return first
+
+
+def laid_over(sample: Mapping[str, Any], condition: Mapping[str, Any]) -> dict[str, Any]:
+    """What a picture has drawn, with the numbers of its condition in their place."""
+    merged = dict(sample)
+    for name, value in condition.items():
+        # daylight and lamps have other numbers
+        is_table = isinstance(value, Mapping) and name in sample and name != "light"
+        merged[name] = laid_over(sample[name], value) if is_table else value
+    return merged
