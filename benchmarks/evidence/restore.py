@@ -2,6 +2,7 @@
 
     python -m benchmarks.evidence.restore --kit FOLDER                the table and its figure
     python -m benchmarks.evidence.restore --kit FOLDER --arms "all three" --nets 1
+    python -m benchmarks.evidence.restore --kit FOLDER --answered NETS     keeps the nets, too
 
 A small net learns to give back pictures in air which an arm has degraded. Three tests have a truth:
 
@@ -184,7 +185,7 @@ def mapped(pool: Pool, seed: int) -> tuple[Tensor, Tensor, Tensor]:
     return torch.stack(wet), pool.images.repeat(DRAWS, 1, 1, 1), torch.stack(maps)
 
 
-def trained(pairs: Sequence[Tensor], inverts: bool, seed: int, steps: int = STEPS) -> Restore:
+def trained(pairs: Sequence[Tensor], inverts: bool, seed: int, steps: int = STEPS) -> Net:
     """A net after so many steps; weights, order and mirrors hang on the seed alone."""
     torch.manual_seed(seed)
     net = Net(inverts).to(memory_format=torch.channels_last)
@@ -203,7 +204,14 @@ def trained(pairs: Sequence[Tensor], inverts: bool, seed: int, steps: int = STEP
         loss.backward()
         optimiser.step()
         schedule.step()
-    net.eval()
+    return net
+
+
+def restorer(path: Path) -> Restore:
+    """By a net that is kept."""
+    weights = torch.load(path)
+    net = Net(inverts=len(weights["last.bias"]) > 3).to(memory_format=torch.channels_last).eval()
+    net.load_state_dict(weights)
 
     @torch.no_grad()
     def restore(picture: Array) -> Array:
@@ -393,7 +401,7 @@ def table(
 def main(
     kits: Path, arms: Sequence[str], nets: int, answered: Path | None = None
 ) -> dict[str, Any]:
-    """Train, score, save, print and draw. What a net gives back is kept in `answered`."""
+    """Train, score, save, print and draw. Nets, and what they give back, are kept in `answered`."""
     torch.set_num_threads(1)
     bench, pool = Bench.of(kits), pool_of(kits)
     looked_at = bench.frames[0][1], bench.rendered[0][1]
@@ -401,12 +409,15 @@ def main(
     columns = [looked_at, [as_bytes(stretched(x)) for x in looked_at]]
     with keeper(answered) as folder:
         for seed, arm in product(range(nets), arms):
-            path = folder / f"{arm}, {seed}.pt"
-            if not path.exists():
+            path, kept = (folder / f"{arm}, {seed}.{ending}" for ending in ("pt", "net"))
+            if not kept.exists():
                 began = time.process_time()
-                restore = trained(pairs_of(arm, pool, bench.shown, seed), arm == MAPS, seed)
-                torch.save((bench.items(restore), [as_bytes(restore(x)) for x in looked_at]), path)
+                net = trained(pairs_of(arm, pool, bench.shown, seed), arm == MAPS, seed)
+                torch.save(net.state_dict(), kept)
                 print(f"{arm}, {seed}: {time.process_time() - began:.0f} s", flush=True)
+            if not path.exists():
+                restore = restorer(kept)
+                torch.save((bench.items(restore), [as_bytes(restore(x)) for x in looked_at]), path)
             of_net, pictures = torch.load(path, weights_only=False)
             items.setdefault(arm, []).append(of_net)
             columns += [pictures] * (seed == 0 and arm in FIGURE)

@@ -5,8 +5,14 @@ nearest chart tells its gain. Direct light and veil are undone in camera space, 
 Stretch and grey-world know the whole picture, but no distance; "one grey" is the gain
 without a water. Errors are ΔE2000, after one gain a picture, or a chart, whose light no model
 knows, to the truth's mean luminance. Left out are the colours whose truth the kit doubts.
+
+    python -m benchmarks.evidence.restore --kit KITS --answered NETS
+    python -m benchmarks.water --kit FOLDER --nets NETS restore
+
+adds what trained nets make of whole pictures. An arm's errors are means over its nets.
 """
 
+import csv
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +23,7 @@ import numpy as np
 import torch
 from skimage.color import deltaE_ciede2000, rgb2lab
 
+from benchmarks.evidence import restore as evidence
 from benchmarks.evidence.restore import BASELINES, LUMINANCE
 from benchmarks.water.patches import GREYS, Array, Patches, Some, fit_haze, greys, read
 from uwaug import Medium
@@ -27,6 +34,7 @@ BINS = (0.0, 5.0, 7.0, np.inf)  # m
 RESAMPLES = 1000  # of charts
 GREY = "one grey"
 DEPTH = 5.0  # m, of a water that nobody fitted
+FULL_WIDTH = 7360  # px, of the pictures in which the kit tells boxes
 
 Water = Callable[[Array], tuple[Array, Array]]
 """From distances to what arrives and the veil (Nx3)."""
@@ -63,17 +71,51 @@ def told_by(patches: Patches) -> int:
     return int(np.where(np.isin(patches.names, GREYS), score, -np.inf).argmax())
 
 
+def picture_of(kit: Path, scene: str) -> Array | None:
+    """A picture's light (HxWx3), if the kit has it."""
+    path = kit / f"charts/pictures/{scene}_lin16.png"
+    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    return None if picture is None else picture[..., ::-1] / 65535
+
+
 def by_picture(kit: Path, patches: Patches) -> dict[str, Array]:
     """Patches after what needs the picture alone, linear sRGB."""
-    path = kit / f"charts/pictures/{patches.pictures[0]}_lin16.png"
-    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    picture = picture_of(kit, patches.pictures[0])
     if picture is None:
         return {}
     # a patch is as small as a pixel here: patches stand beside the picture, as measured
-    light = np.concatenate([picture[..., ::-1].reshape(-1, 3) / 65535, patches.shown])
+    light = np.concatenate([picture.reshape(-1, 3), patches.shown])
     encoded = 255 * linear_to_srgb(torch.from_numpy(light)).numpy()[None]
     arms = ("as it is", "grey-world", "stretch")
     return {arm: BASELINES[arm](encoded)[0, -len(patches.z) :] for arm in arms}
+
+
+def by_nets(kit: Path, patches: Patches, nets: Path) -> dict[str, Array]:
+    """Patches by the nets of each arm, linear sRGB (KxNx3). Nets see whole pictures, as stretch
+    does; crops of charts, as large as in training, serve a net no better.
+    """
+    with (kit / "charts/patches.csv").open(newline="") as file:
+        boxes = {
+            (f"{row['scene']} {row['chart']}", row["patch"]): [
+                int(row[side]) for side in ("x0", "x1", "y0", "y1")
+            ]
+            for row in csv.DictReader(file)
+        }
+    arms: dict[str, list[Array]] = {}
+    for path in sorted(nets.glob("*.net")):
+        restore, answer = evidence.restorer(path), np.full(patches.wet.shape, np.nan)
+        for scene in np.unique(patches.pictures):
+            picture = picture_of(kit, scene)
+            if picture is None:
+                continue
+            light, scale = restore(evidence.as_bytes(picture)), picture.shape[1] / FULL_WIDTH
+            for i in np.flatnonzero(patches.pictures == scene):
+                box = np.array(boxes[patches.charts[i], patches.names[i]])
+                x0, x1, y0, y1 = np.round(scale * box).astype(int)
+                pixels = light[y0 : max(y1, y0 + 1), x0 : max(x1, x0 + 1)]
+                answer[i] = pixels.mean((0, 1))
+        arms.setdefault(f"net: {path.stem.rpartition(', ')[0]}", []).append(answer)
+    return {arm: np.stack(answers) for arm, answers in arms.items()}
 
 
 def errors(light: Array, truth: Array, groups: Some) -> Array:
@@ -117,10 +159,12 @@ def medians(values: Array, charts: Some) -> list[float]:
     return [float(np.nanmedian(values)), *np.quantile(resampled, (0.025, 0.975)).tolist()]
 
 
-def main(kit: Path) -> dict[str, Any]:
-    """Print the errors of each way."""
+def main(kit: Path, nets: Path | None = None) -> dict[str, Any]:
+    """Print the errors of each way, and of the nets in a folder."""
     patches = read(kit)
-    answers = restored(kit, patches)
+    answers = {name: light[None] for name, light in restored(kit, patches).items()}
+    if nets:
+        answers |= by_nets(kit, patches, nets)
     scored = ~np.isin(patches.names, DOUBTED)
     for scene in np.unique(patches.pictures):
         places = np.flatnonzero(patches.pictures == scene)
@@ -133,17 +177,18 @@ def main(kit: Path) -> dict[str, Any]:
     results = {}
     for gain, groups in (("a picture", patches.pictures), ("a chart", patches.charts)):
         misses = {}
-        for name, light in answers.items():
-            some = scored & np.isfinite(light[:, 0])
-            misses[name] = np.full(len(light), np.nan)
-            misses[name][some] = errors(light[some], patches.truth[some], groups[some])
-        print(f"\nΔE2000, a gain {gain}", "all, more than one grey", *parts, sep="; ")
+        for name, lights in answers.items():
+            some = scored & np.isfinite(lights[0, :, 0])
+            misses[name] = np.full(len(some), np.nan)
+            rows = [errors(light[some], patches.truth[some], groups[some]) for light in lights]
+            misses[name][some] = np.mean(rows, 0)
+        print(f"\nΔE2000, a gain {gain}", "all, more than one grey", *[*parts][1:], sep="; ")
         for name, of_name in misses.items():
             groups_of = {part: scored & of for part, of in parts.items() if (scored & of).any()}
             row = {part: medians(of_name[of], patches.charts[of]) for part, of in groups_of.items()}
             first, *rest = (f"{median:6.1f}" for median, *_ in row.values())
             row["more"] = medians((of_name - misses[GREY])[scored], patches.charts[scored])
             more = "{:+.1f} ({:+.1f} to {:+.1f})".format(*row["more"])
-            print(f"{name:21} {first} {more}", *rest)
+            print(f"{name:23} {first} {more}", *rest)
             results[f"{name}, a gain {gain}"] = row
     return results
