@@ -61,8 +61,8 @@ EDITS = {
         "light_noun, self.development)": "light_noun, self.development, self.lens)",
     },
     "transforms/random_development.py": {
-        "    noise: Sensor | None = None\n": (
-            "    noise: Sensor | None = None\n    port: Range = number(0.0, 0.0, 3.0)\n"
+        "    noise: Sensor | None = _SENSOR\n": (
+            "    noise: Sensor | None = _SENSOR\n    port: Range = number(0.0, 0.0, 3.0)\n"
         ),
         '        options: dict[str, Any] = {**draw, "metered": self.metered}\n': (
             '        options: dict[str, Any] = {**draw, "metered": self.metered}\n'

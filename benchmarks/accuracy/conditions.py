@@ -47,6 +47,8 @@ BANDWIDTH = 0.44  # h: .3 of the distance of photographs to their fifth neighbou
 STEPS = 300
 LEAST_WEIGHT = 1e-4
 CAMERA = 6.0  # photographs for which all frames of a camera stand
+LAMPS = 0.25  # share of what is tried that lamps light
+FOUND = ("water", "development")  # parts of a draw that a condition gives
 EACH = 8  # draws of each picture by which conditions are told
 
 MEDIANS = ("sd_RG", "corr_RG", "log_RG", "log_BG", "loc2", "loc6", "dark", "chroma", "L_mean")
@@ -82,7 +84,9 @@ def likelihoods(search: Search, photographs: Numbers) -> Numbers:
 
 
 def found(search: Search, photographs: Reference, cameras: Reference | None) -> Conditions:
-    """The conditions in which photographs and frames are most likely."""
+    """The conditions by daylight in which photographs and frames are most likely, beside lamps, so
+    that pictures of the deep are not taken for an odd day.
+    """
     names = load_photographs()[1]
     water = [names.index(name) for name in WATER_FEATURES]
     numbers, counts = photographs.numbers, np.ones(len(photographs.numbers))
@@ -94,8 +98,10 @@ def found(search: Search, photographs: Reference, cameras: Reference | None) -> 
     weights = np.full(len(search.pool), 1 / len(search.pool))
     for _ in range(STEPS):
         weights *= (counts / (likely @ weights + 1e-12)) @ likely / counts.sum()
-    kept = np.flatnonzero(weights > LEAST_WEIGHT)
-    rows = [search.pool[i].condition for i in kept]
+    by_day = ["rig" not in tried.condition["light"] for tried in search.pool]
+    kept = np.flatnonzero((weights > LEAST_WEIGHT) & by_day)
+    print(f"{1 - weights @ by_day:.2f} of the weight is of lamps")
+    rows = [{name: search.pool[i].condition[name] for name in FOUND} for i in kept]
     return Conditions(rows, [*weights[kept]], BETWEEN, binding=False)
 
 
@@ -148,8 +154,7 @@ def main(folder: Path, cameras_csv: Path | None, path: Path | None) -> None:
     scenes = list(sources(folder))
     order = np.random.default_rng(0).permutation(len(scenes))
     images, maps = zip(*(scenes[i] for i in order), strict=True)
-    # lamps are drawn apart
-    wide = uwaug.RandomUnderwater(light=uwaug.RandomLight(share=0.0), conditions=None)
+    wide = uwaug.RandomUnderwater(light=uwaug.RandomLight(share=LAMPS), conditions=None)
     search = Search(wide, list(images), list(maps), seed=0)
     search.draw(TRIED, PICTURES)
     results = dict[str, Any]()

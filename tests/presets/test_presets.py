@@ -193,7 +193,7 @@ def test_water_and_camera_in_place_of_the_files(tmp_path):
 
 TEXT = preset_path("survey").read_text(encoding="utf-8")
 LINES = sorted({*re.findall(r"^\w+(?= =)", TEXT, re.MULTILINE)} - {"kind", "scale"})
-DRAWN = ["color_matrix", "exposure", "gamut", "light", "mu", "saturation", "tone"]
+DRAWN = ["color_matrix", "exposure", "gamut", "light", "mu", "noise", "saturation", "tone"]
 DRAWN += ["vertical_depth", "waters", "white_balance"]
 """What differs from picture to picture where a line is left out."""
 
