@@ -14,24 +14,19 @@ from uwaug._support.threads import one_thread
 from uwaug._support.types import ColorSpace
 from uwaug.fitting import choose
 from uwaug.fitting.choose import FittedModel
-from uwaug.fitting.data import Geometry, Pictures
+from uwaug.fitting.data import Pictures
 from uwaug.fitting.errors import straight_line
-from uwaug.fitting.model import COLOURS, EXPONENTS, MODELS, NARROW_PX, CoefficientModel
+from uwaug.fitting.model import COLOURS, MODELS, NARROW_PX, CoefficientModel
 from uwaug.fitting.result import Fit, Parameter
-from uwaug.fitting.solve import Objective, guess, multistart, reweighed, roughly_weighed, solve
-from uwaug.formation.colour import linear_to_srgb
+from uwaug.fitting.solve import Objective, multistart, reweighed, roughly_weighed, solve
 from uwaug.formation.setting import Setting
 
 Progress = Callable[[str], None]
 _PIXEL_COUNTS = (500, 100_000)  # least and most pixels of a fit
-_MAX_FIXED = 1e6  # largest value of a fixed number
 _NOISE_PIXELS = 4000  # pixels from which the noise is first estimated
 _QUIET_SECONDS = 1.0  # s, before progress is printed
 _POOR_SHARE = 0.8  # of the observed variance; a model that explains less gets a warning
 _MAX_BETA = 30.0  # 1/m; no natural water attenuates more
-_HAZE_PIXELS = 2000  # pixels of the fit of encoded values
-# Ratio of residuals that is worth a note; pictures of light reached 1.01, hazes of values 1.08.
-_MIN_RATIO = 1.05
 
 
 def fit(
@@ -40,7 +35,6 @@ def fit(
     distance: Tensor,
     *,
     model: str = "auto",
-    fixed: Mapping[str, float] | None = None,
     gain: Literal["fixed", "free"] = "free",
     color_space: ColorSpace = "srgb",
     jpeg: int | None = None,
@@ -59,8 +53,6 @@ def fit(
             "gaussian" and "exponential" (forward scatter with a width law, too). "auto": the one
             with the fewest numbers that predicts left-out blocks of the picture as well as any; of
             "haze" and "veil" alone where the short side has four pixels or less.
-        fixed: known numbers by their names in `Fit.parameters`, such as {"G_red": .3}: beta, G and
-            veil of a colour, width, exponent.
         gain: "free": each colour gets a factor for exposure, white balance and daylight lost above
             the scene, if left-out pixels are predicted better with it. "fixed": there is none.
         color_space: "srgb": values are decoded to linear light. "linear": they are taken as is.
@@ -88,7 +80,10 @@ def fit(
     checks.one_of("gain", gain, ("fixed", "free"))
     say = checked_options(pixels, seed, progress)
     pictures = Pictures.of(clean, observed, distance, color_space, jpeg)
-    models = _models(model, pictures.geometry, fixed or {}, gain=gain == "free")
+    specs = [spec for name, spec in MODELS.items() if model in ("auto", name)]
+    if model == "auto" and pictures.geometry.widest <= NARROW_PX:
+        specs = [spec for spec in specs if spec.shape is None]
+    models = [CoefficientModel(spec, pictures.geometry, gain == "free") for spec in specs]
     # a medium that is made in inference mode could not be trained
     with one_thread(), torch.inference_mode(False), torch.no_grad():
         say("blurring the clean picture")
@@ -119,9 +114,6 @@ def fit(
             candidates.append(choose.cross_validated(objective, solution, seed))
             winner = choose.one_standard_error_rule([winner, candidates[-1]])
         first = _model_notes(winner, candidates)
-        if color_space == "srgb":
-            say("trying encoded values")
-            first += _encoded_haze_notes(winner, gain == "free", seed)
         medium = winner.model.medium(winner.model.coefficients(winner.solution.theta))
         setting = Setting(medium, color_space=color_space)
         result = choose.result_of(winner, candidates, setting, pictures)
@@ -144,31 +136,6 @@ def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progre
     return say
 
 
-def _models(
-    name: str, geometry: Geometry, fixed: Mapping[str, float], *, gain: bool
-) -> list[CoefficientModel]:
-    """The models of a name, or all for "auto", that have a place for every fixed number."""
-    specs = [MODELS[name]] if name in MODELS else list(MODELS.values())
-    if name == "auto" and geometry.widest <= NARROW_PX:
-        specs = [spec for spec in specs if spec.shape is None]
-    candidates = [CoefficientModel(spec, geometry, gain, {}) for spec in specs]
-    models = [x for x in candidates if set(fixed) <= set(x.fixable)]
-    if not models:
-        raise ValueError(f"fixed: expected some of {candidates[-1].fixable}, got {[*fixed]}")
-    for key, value in fixed.items():
-        low = EXPONENTS[0] if key == "exponent" else 0.0
-        high = {"width": geometry.widest, "exponent": EXPONENTS[1]}.get(key, _MAX_FIXED)
-        checks.within(f"fixed[{key!r}]", value, low, high)
-    for colour in COLOURS:
-        beta, G = fixed.get(f"beta_{colour}"), fixed.get(f"G_{colour}")
-        if beta is not None and G is not None and beta < G:
-            models = [x for x in models if x.spec.shape is None]
-    models = [x for x in (replace(x, fixed=dict(fixed)) for x in models) if x.bounds]
-    if not models:
-        raise ValueError(f"fixed: leaves nothing that may be fitted, got {dict(fixed)}")
-    return models
-
-
 def _model_notes(
     winner: FittedModel[CoefficientModel], candidates: Sequence[FittedModel[CoefficientModel]]
 ) -> list[str]:
@@ -183,35 +150,6 @@ def _model_notes(
         f"Model {winner.model.name!r}: {winner.model.spec.words}.{reason}",
         f"The residual is {winner.rms:.2g} RMS of linear light; {100 * winner.explained:.4g} % of "
         f"the variance of the observed pixels is explained.{warning}",
-    ]
-
-
-def _encoded_haze_notes(winner: FittedModel[CoefficientModel], gain: bool, seed: int) -> list[str]:
-    """A note if a haze that is fitted to the sRGB values explains them better than the winner: most
-    published synthesisers compose it so.
-    """
-    haze = replace(winner.model, spec=MODELS["haze"], gain=gain)
-    if not set(haze.fixed) <= set(haze.fixable) or not haze.bounds:
-        return []  # a haze has no place for the fixed numbers
-    pixels = winner.objective.pixels
-    is_used = pixels.weights > 0
-    clean, observed = linear_to_srgb(pixels.clean), linear_to_srgb(pixels.observed)
-    values = replace(pixels, clean=clean, observed=observed, weights=is_used.double(), stacks={})
-    objective = Objective(haze, roughly_weighed(values).subsample(_HAZE_PIXELS, seed))
-    theta = solve(objective, haze.start(guess(objective))).theta
-
-    def rms(picture: Tensor) -> float:
-        return float((picture - observed)[is_used].square().mean().sqrt())
-
-    of_light = rms(linear_to_srgb(winner.model.render(winner.solution.theta, pixels)))
-    of_values = rms(haze.render(theta, values))
-    if of_light < _MIN_RATIO * of_values:
-        return []
-    return [
-        f"A haze that was composed in encoded values fits {of_light / of_values:.2g} times better: "
-        f"it is {of_values:.2g} RMS of sRGB values off, this fit {of_light:.2g}. Give "
-        'color_space="linear" (--color-space linear), which takes values as they are: numbers '
-        "then refer to them. Those here are wrong, and so may be a blur."
     ]
 
 
@@ -236,5 +174,5 @@ def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
     if c.beta.max() > _MAX_BETA:
         sentences.append(f"β reaches {c.beta.max():.3g}/m: are the distances in metres?")
     if not winner.solution.converged:
-        sentences.append("The fit stopped before it settled: fix what is known.")
+        sentences.append("The fit stopped before it settled.")
     return sentences

@@ -99,8 +99,9 @@ def covariance_of(
     """Covariance of all numbers of a fit, over blocks of its pictures; `lost` (Bx3xHxW, linear
     light) are errors of their files, which follow the scene, so that no block tells them.
     """
-    residual = objective.residual(solution.theta)
-    jacobian, pixels = objective.jacobian(solution.theta), objective.pixels
+    from scipy.linalg import block_diag
+
+    pixels, residual = objective.pixels, objective.residual(solution.theta)
     weights = pixels.weights[0, :, 0].numpy()
     errors = [np.full_like(weights, objective.model.offset)]
     for light in lost:
@@ -108,7 +109,14 @@ def covariance_of(
     # each error of each colour by itself
     columns = [(error * weights)[..., None] * np.eye(3)[:, None] for error in errors]
     offsets = np.concatenate(columns, 2).reshape(3 * weights.shape[1], -1)
-    return sandwich(jacobian, *influence(residual), pixels.blocks_of_values, offsets)
+    score, curvature = influence(residual)
+    # numbers whose spread is known are off by it, or by more where the fit finds so: of few
+    # numbers, what it finds would be too little
+    own = np.abs(residual[len(offsets) :]).clip(min=1)
+    score[len(offsets) :] = 0
+    blocks = np.pad(pixels.blocks_of_values, (0, len(own)))
+    offsets = block_diag(offsets, np.diag(own))
+    return sandwich(objective.jacobian(solution.theta), score, curvature, blocks, offsets)
 
 
 def parameters(
@@ -183,7 +191,8 @@ def left_over(remainder: Sequence[Remainder], design_effect: float, rms: float) 
     return [
         f"What is left is not noise: errors are {design_effect:.1f} times those of independent "
         f"pixels{example}. Numbers may be off by more, for distances, alignment, uneven light, "
-        "JPEG, or more than one rate for a colour."
+        "JPEG, more than one rate for a colour, or a haze that was added to encoded values, whose "
+        'cure is color_space="linear" (--color-space linear).'
     ]
 
 

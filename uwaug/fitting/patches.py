@@ -19,7 +19,7 @@ from uwaug._support.atomic import read_text
 from uwaug._support.threads import one_thread
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import FAR_QUANTILE, MIN_SPAN, NEAR_QUANTILE, Geometry, Pixels, Places
-from uwaug.fitting.errors import Covariance, parameters, remainder, sandwich, straight_line, unknown
+from uwaug.fitting.errors import covariance_of, parameters, remainder, straight_line, unknown
 from uwaug.fitting.model import COLOURS, MAX_GAIN, MODELS, Bounds, CoefficientModel, Model, Quantity
 from uwaug.fitting.result import Fit
 from uwaug.fitting.solve import (
@@ -28,7 +28,6 @@ from uwaug.fitting.solve import (
     Objective,
     Solution,
     guess,
-    influence,
     logit_prefit,
     solve,
 )
@@ -169,11 +168,11 @@ def fit_patches(
     spreads = {kind: spread for kind, spread in spreads.items() if spread > 0}
     # a medium that is made in inference mode could not be trained
     with one_thread(), torch.inference_mode(False), torch.no_grad():
-        water = CoefficientModel(MODELS[model], geometry, True, {})
+        water = CoefficientModel(MODELS[model], geometry, True)
         patch_model = _PatchModel(water, pictures, charts, picture_of, chart_of, spreads)
-        objective, solution = _solved(_WithSpreads(patch_model, pixels))
+        objective, solution = _solved(Objective(patch_model, pixels))
         theta, pixels = solution.theta, objective.pixels
-        numbers, matrix = parameters(patch_model, solution, _covariance(objective, theta))
+        numbers, matrix = parameters(patch_model, solution, covariance_of(objective, solution))
         coefficients = water.coefficients(theta[: len(water.bounds)])
         medium, rest = water.medium(coefficients), remainder(objective, theta)
         error = patch_model.render(theta, pixels) - pixels.observed
@@ -204,7 +203,11 @@ class _PatchModel(Model):
     charts: Sequence[str]
     picture_of: Places  # (N): number of the picture of each patch
     chart_of: Places  # (N): number of its chart
-    spreads: dict[str, float]  # standard deviation of the logarithms of charts, by kind
+    spread_of: dict[str, float]  # standard deviation of the logarithms of charts, by kind
+
+    @property
+    def spreads(self) -> Array:
+        return np.repeat([*self.spread_of.values()], len(self.charts))
 
     @property
     def name(self) -> str:
@@ -215,17 +218,17 @@ class _PatchModel(Model):
         exposure = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
         of_chart = Bounds(-_MAX_LOG, _MAX_LOG, 0.0)
         exposures = {f"exposure {i}": exposure for i in range(1, len(self.pictures))}
-        rows = [(kind, i) for kind in self.spreads for i in range(len(self.charts))]
+        rows = [(kind, i) for kind in self.spread_of for i in range(len(self.charts))]
         return self.water.bounds | exposures | {f"{kind} {i}": of_chart for kind, i in rows}
 
     def factors(self, theta: Array) -> dict[str, Array]:
         """Exposure of each picture; light and factor on the distance of each chart."""
         logs = theta[len(self.water.bounds) :]
         exposures, logs = np.split(logs, [len(self.pictures) - 1])
-        kinds = np.exp(logs).reshape(len(self.spreads), len(self.charts))
+        kinds = np.exp(logs).reshape(len(self.spread_of), len(self.charts))
         ones = dict.fromkeys(("light", "distance"), np.ones(len(self.charts)))
         exposures = np.exp(np.concatenate([[0.0], exposures]))
-        return {"exposure": exposures, **ones, **dict(zip(self.spreads, kinds, strict=True))}
+        return {"exposure": exposures, **ones, **dict(zip(self.spread_of, kinds, strict=True))}
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         factors = self.factors(theta)
@@ -239,49 +242,14 @@ class _PatchModel(Model):
         names = {"exposure": self.pictures, "light": self.charts, "distance": self.charts}
         return self.water.quantities + [
             Quantity(f"{kind}_{name}", "1", 0.02, f"{kind} {i}")
-            for kind in ("exposure", *self.spreads)
+            for kind in ("exposure", *self.spread_of)
             for i, name in enumerate(names[kind])
         ]
 
     def report(self, theta: Array) -> Array:
         factors = self.factors(theta)
         of_water = self.water.report(theta[: len(self.water.bounds)])
-        return np.hstack([of_water, *(factors[kind] for kind in ("exposure", *self.spreads))])
-
-
-class _WithSpreads(Objective[_PatchModel]):
-    """Residuals of the patches, and numbers of charts in standard deviations of their spread."""
-
-    @cached_property
-    def own(self) -> Array:
-        """Derivatives of the residuals of the numbers of charts, the last of θ."""
-        model = self.model
-        rates = np.repeat([1 / spread for spread in model.spreads.values()], len(model.charts))
-        return np.pad(np.diag(rates), ((0, 0), (len(model.bounds) - len(rates), 0)))
-
-    def residual(self, theta: Array) -> Array:
-        return np.concatenate([super().residual(theta), self.own @ theta])
-
-    def jacobian(self, theta: Array) -> Array:
-        return np.concatenate([super().jacobian(theta), self.own])
-
-
-def _covariance(objective: _WithSpreads, theta: Array) -> Covariance:
-    """Covariance over charts, whose light and distance are off by their spread, or by more where
-    the fit finds so: of a few charts, what it finds would be too little.
-    """
-    residual, blocks = objective.residual(theta), objective.pixels.blocks_of_values
-    score, curvature = influence(residual)
-    count = len(blocks)
-    score[count:] = 0
-    offsets = np.diag(np.abs(residual[count:]).clip(min=1))
-    return sandwich(
-        objective.jacobian(theta),
-        score,
-        curvature,
-        np.pad(blocks, (0, len(offsets))),
-        np.pad(offsets, ((count, 0), (0, 0))),
-    )
+        return np.hstack([of_water, *(factors[kind] for kind in ("exposure", *self.spread_of))])
 
 
 def _numbered(names: Sequence[str]) -> tuple[list[str], Places]:
@@ -324,7 +292,7 @@ def _pixels(patches: Sequence[Patch], chart_of: Places, color_space: ColorSpace)
     )
 
 
-def _solved(objective: _WithSpreads) -> tuple[_WithSpreads, Solution]:
+def _solved(objective: Objective[_PatchModel]) -> tuple[Objective[_PatchModel], Solution]:
     """The least cost, with pixels weighed by a noise that the residuals tell: a share of the light
     for each colour.
     """
@@ -342,22 +310,22 @@ def _solved(objective: _WithSpreads) -> tuple[_WithSpreads, Solution]:
         medians = [float(share[0, c][is_used[0, c]].median()) for c in range(3)]
         spread = MAD * torch.tensor(medians).reshape(1, 3, 1, 1) / math.sqrt(freedom)
         weights = is_used / (spread * light).clamp(min=MIN_NOISE)
-        objective = _WithSpreads(model, replace(pixels, weights=weights))
+        objective = Objective(model, replace(pixels, weights=weights))
         solution = solve(objective, solution.theta)
     return objective, solution
 
 
-def _rates_apart(objective: _WithSpreads, theta: Array) -> list[str]:
+def _rates_apart(objective: Objective[_PatchModel], theta: Array) -> list[str]:
     """The sentence, if any, on colours whose light fades at another rate than their veil grows."""
     water = replace(objective.model.water, spec=MODELS["veil"])
     model = replace(objective.model, water=water)
     numbers = dict(zip(objective.model.bounds, theta.tolist(), strict=True))
     # from G = β
     start = np.array([numbers.get(name, 1.0) for name in model.bounds])
-    apart = _WithSpreads(model, objective.pixels)
-    theta = solve(apart, start).theta
-    errors = np.sqrt(np.diag(_covariance(apart, theta).matrix))
-    offs = dict(zip(model.bounds, np.abs(theta - 1) > _SURE_ERRORS * errors, strict=True))
+    apart = Objective(model, objective.pixels)
+    solution = solve(apart, start)
+    errors = np.sqrt(np.diag(covariance_of(apart, solution).matrix))
+    offs = dict(zip(model.bounds, np.abs(solution.theta - 1) > _SURE_ERRORS * errors, strict=True))
     if not (colours := [colour for colour in COLOURS if offs[f"share_{colour}"]]):
         return []
     return [f"Light fades at another rate than the veil in {', '.join(colours)}: try model veil."]

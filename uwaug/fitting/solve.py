@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -44,14 +45,21 @@ class Objective(Generic[M]):
         low, high, _ = np.array([*self.model.bounds.values()]).T
         return low, high
 
+    @cached_property
+    def own(self) -> Array:
+        """Derivatives by θ of its last numbers, in standard deviations, where these are known."""
+        rates = np.diag(1 / self.model.spreads)
+        return np.pad(rates, ((0, 0), (len(self.model.bounds) - len(rates), 0)))
+
     def residual(self, theta: Array) -> Array:
-        """Model − observation in standard deviations of the noise (3·N)."""
+        """Model − observation in standard deviations of the noise (3·N), then `own` numbers."""
         light = self.model.render(theta, self.pixels)
-        return (self.pixels.weights * (light - self.pixels.observed)).flatten().numpy()
+        values = (self.pixels.weights * (light - self.pixels.observed)).flatten().numpy()
+        return np.concatenate([values, self.own @ theta])
 
     def jacobian(self, theta: Array) -> Array:
         weights = self.pixels.weights.flatten().numpy()
-        return weights[:, None] * self.model.slopes(theta, self.pixels)
+        return np.concatenate([weights[:, None] * self.model.slopes(theta, self.pixels), self.own])
 
 
 @dataclass(frozen=True, eq=False)

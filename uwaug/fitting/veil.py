@@ -91,7 +91,7 @@ def fit_veil(
     nearest, farthest = np.quantile(z, (0.05, 0.95)).tolist()
     if (z >= FARTHEST).mean() > 0.01:
         farthest = np.inf
-    model = CoefficientModel(MODELS["haze"], pictures.geometry, False, {})
+    model = CoefficientModel(MODELS["haze"], pictures.geometry, False)
     # a medium that is made in inference mode could not be trained
     with one_thread(), torch.inference_mode(False), torch.no_grad():
         objective = _OneSided(model, dark)
