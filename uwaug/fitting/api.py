@@ -25,7 +25,6 @@ Progress = Callable[[str], None]
 _PIXEL_COUNTS = (500, 100_000)  # least and most pixels of a fit
 _NOISE_PIXELS = 4000  # pixels from which the noise is first estimated
 _QUIET_SECONDS = 1.0  # s, before progress is printed
-_POOR_SHARE = 0.8  # of the observed variance; a model that explains less gets a warning
 _MAX_BETA = 30.0  # 1/m; no natural water attenuates more
 
 
@@ -58,7 +57,7 @@ def fit(
         color_space: "srgb": values are decoded to linear light. "linear": they are taken as is.
         jpeg: quality, 1…100, of the JPEG file that `observed` was; its loss then counts as error.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
-        seed: of the choice of pixels and of random starts.
+        seed: of the choice of pixels.
         progress: True prints on stderr what a fit of more than a second is doing; False nothing; or
             a function that is called with each such line.
 
@@ -139,17 +138,14 @@ def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progre
 def _model_notes(
     winner: FittedModel[CoefficientModel], candidates: Sequence[FittedModel[CoefficientModel]]
 ) -> list[str]:
-    best, reason, warning = choose.best_of(candidates), "", ""
+    best, reason = choose.best_of(candidates), ""
     if best is not winner:
         reason = f" The fewest numbers within one standard error of the best, {best.model.name!r}."
     elif len(candidates) > 1:
         reason = " It foretells left-out pixels best."
-    if winner.explained < _POOR_SHARE:
-        warning = " That is little: are the pictures aligned, of one scene, and in metres?"
     return [
         f"Model {winner.model.name!r}: {winner.model.spec.words}.{reason}",
-        f"The residual is {winner.rms:.2g} RMS of linear light; {100 * winner.explained:.4g} % of "
-        f"the variance of the observed pixels is explained.{warning}",
+        f"The residual is {winner.rms:.2g} RMS of linear light.",
     ]
 
 

@@ -52,15 +52,6 @@ class FittedModel(Generic[M]):
         residual = self.model.render(self.solution.theta, pixels) - pixels.observed
         return float(residual[pixels.weights > 0].square().mean().sqrt())
 
-    @property
-    def explained(self) -> float:
-        """Share of the variance of the observed pixels that the model explains."""
-        pixels = self.objective.pixels
-        colours = zip(pixels.observed[0], pixels.weights[0] > 0, strict=True)
-        lights = [light[is_used] for light, is_used in colours]
-        variance = float(torch.cat([x - x.mean() for x in lights]).square().mean())
-        return 1 - self.rms**2 / variance if variance > 0 else 0.0
-
 
 def result_of(
     winner: FittedModel[M],
@@ -70,10 +61,12 @@ def result_of(
 ) -> Fit:
     """The public result: numbers and errors of the winner, and the notes that all fits share."""
     objective, solution = winner.objective, winner.solution
-    # the fit may take what the file has lost for a blur: with and without one
-    sharp = replace(setting, medium=replace(setting.medium, scale=0 * setting.medium.scale))
-    lost = [pictures.lost(pictures.rendered(each)) for each in (setting, sharp)]
-    covariance = covariance_of(objective, solution, [x for x in lost if x is not None])
+    lost = []
+    if pictures.jpeg is not None:
+        # the fit may take what the file has lost for a blur: with and without one
+        sharp = replace(setting, medium=replace(setting.medium, scale=0 * setting.medium.scale))
+        lost = [pictures.lost(pictures.rendered(x), pictures.jpeg) for x in (setting, sharp)]
+    covariance = covariance_of(objective, solution, lost)
     numbers, matrix = parameters(winner.model, solution, covariance)
     rest, best, rows = remainder(objective, solution.theta), best_of(candidates), []
     doubts = left_over(rest, covariance.design_effect, winner.rms)

@@ -36,7 +36,6 @@ _MIN_PIXELS = 50  # usable pixels that a fit needs: three values of each for 12 
 MIN_SPAN = 0.03  # spread of the distances as a share of their median; less is one distance
 _SAME_PICTURE = 2e-3  # mean difference, as a share of the light, below which two pictures are one
 _CLIPPED_LIGHT = 0.98  # linear light of the clean picture, 253 of 255: it may have been brighter
-_LEVEL_ROUNDING = 1e-3  # of a level of 8 bits, up to which a value is one
 _BLUR_TOLERANCE = 2e-4  # error of the blurs, below which no residual can fall
 _WIDEST_BLUR = 1 / 5  # widest blur of a fitted width law, as a share of the picture's short side
 _JPEG_TABLE_SUM = 3688  # of the standard's table for luminance, which is quality 50
@@ -66,7 +65,6 @@ class Pictures:
     usable: Tensor  # Bx1xHxW: True where the distance is known and no value was clipped
     color_space: ColorSpace  # of the input
     clips: bool  # True if light beyond black and white was lost, as in sRGB
-    has_bytes: bool  # True if the observed values are those of 8 bits
     jpeg: int | None = None  # quality at which the observed were stored; None: without loss
 
     @staticmethod
@@ -98,9 +96,7 @@ class Pictures:
         count = max(len(wet), len(z), len(dry))
         z = torch.where(z >= checks.OPEN, FARTHEST, torch.where(z > 0, z, 1.0))
         wet, z, usable = (x.expand(count, -1, -1, -1) for x in (wet, z, usable))
-        levels = 255 * encoded(wet, color_space, torch.float64, 1.0)
-        has_bytes = bool((levels - levels.round()).abs().max() < _LEVEL_ROUNDING)
-        pictures = Pictures(dry, wet, z, usable, color_space, clips, has_bytes, jpeg)
+        pictures = Pictures(dry, wet, z, usable, color_space, clips, jpeg)
         pictures._require_usable()
         return pictures
 
@@ -158,16 +154,11 @@ class Pictures:
         with torch.no_grad():
             return form(clean, z, replace(setting, color_space="linear"))
 
-    def lost(self, light: Tensor) -> Tensor | None:
-        """What pictures (Bx3xHxW, linear light) lose when they are stored as the observed were: by
-        rounding to 8 bits, or by JPEG; None if that is nothing.
-        """
-        if not self.has_bytes:
-            return None
+    def lost(self, light: Tensor, jpeg: int) -> Tensor:
+        """What pictures (Bx3xHxW, linear light) lose when they are stored as JPEG of a quality."""
         light = light.clamp(0, 1)
         values = encoded(light, self.color_space, torch.uint8, 1.0)
-        if self.jpeg is not None:
-            values = torch.stack([_through_jpeg(value, self.jpeg) for value in values])
+        values = torch.stack([_through_jpeg(value, jpeg) for value in values])
         return decoded(values, self.color_space) - light
 
     def _require_usable(self) -> None:
@@ -212,7 +203,7 @@ class Pixels:
     def blocks_of_values(self) -> Places:
         return np.tile(self.blocks, 3)
 
-    def subsample(self, count: int, seed: "int | np.random.Generator") -> "Pixels":
+    def subsample(self, count: int, seed: int) -> "Pixels":
         n = self.z.shape[-1]
         if count >= n:
             return self

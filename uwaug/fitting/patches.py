@@ -22,15 +22,7 @@ from uwaug.fitting.data import FAR_QUANTILE, MIN_SPAN, NEAR_QUANTILE, Geometry, 
 from uwaug.fitting.errors import covariance_of, parameters, remainder, straight_line, unknown
 from uwaug.fitting.model import COLOURS, MAX_GAIN, MODELS, Bounds, CoefficientModel, Model, Quantity
 from uwaug.fitting.result import Fit
-from uwaug.fitting.solve import (
-    MAD,
-    MIN_NOISE,
-    Objective,
-    Solution,
-    guess,
-    logit_prefit,
-    solve,
-)
+from uwaug.fitting.solve import MAD, MIN_NOISE, Objective, Solution, guess, solve
 from uwaug.formation.colour import decoded, require_values
 from uwaug.formation.development import Development
 from uwaug.formation.setting import Setting
@@ -298,7 +290,7 @@ def _solved(objective: Objective[_PatchModel]) -> tuple[Objective[_PatchModel], 
     """
     model, pixels = objective.model, objective.pixels
     water = Objective(model.water, pixels)
-    theta = logit_prefit(water, model.water.start(guess(water)))
+    theta = model.water.start(guess(water))
     solution = solve(objective, np.pad(theta, (0, len(model.bounds) - len(theta))))
     is_used = pixels.weights > 0
     # numbers of charts and pictures take a part of the residuals
