@@ -169,7 +169,7 @@ def hazed(noise=0.0):
     beta, veil = (torch.tensor(x).double()[:, None, None] for x in (SET["beta"], SET["veil"]))
     left = torch.exp(-beta * z)
     values = clean / 255 * left + veil * (1 - left)
-    values = values + noise * torch.randn(values.shape, generator=torch.Generator().manual_seed(1))
+    values = values + noise * torch.randn(values.shape, generator=torch.Generator().manual_seed(2))
     return clean, (255 * values.clamp(0, 1)).round().to(torch.uint8), z
 
 

@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -16,12 +16,11 @@ from uwaug.fitting import choose
 from uwaug.fitting.choose import FittedModel
 from uwaug.fitting.data import Pictures
 from uwaug.fitting.errors import straight_line
-from uwaug.fitting.model import COLOURS, MODELS, NARROW_PX, CoefficientModel
-from uwaug.fitting.result import Fit, Parameter
-from uwaug.fitting.solve import Objective, multistart, reweighed, roughly_weighed, solve
+from uwaug.fitting.model import MODELS, NARROW_PX, CoefficientModel, Coefficients
+from uwaug.fitting.result import Fit
+from uwaug.fitting.solve import Objective, multistart, reweighed
 from uwaug.formation.setting import Setting
 
-Progress = Callable[[str], None]
 _PIXEL_COUNTS = (500, 100_000)  # least and most pixels of a fit
 _NOISE_PIXELS = 4000  # pixels from which the noise is first estimated
 _QUIET_SECONDS = 1.0  # s, before progress is printed
@@ -39,7 +38,7 @@ def fit(
     jpeg: int | None = None,
     pixels: int = 20_000,
     seed: int = 0,
-    progress: bool | Progress = True,
+    progress: bool = True,
 ) -> Fit:
     """Recover a water from pictures of one scene without it and in it.
 
@@ -58,8 +57,7 @@ def fit(
         jpeg: quality, 1…100, of the JPEG file that `observed` was; its loss then counts as error.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
         seed: of the choice of pixels.
-        progress: True prints on stderr what a fit of more than a second is doing; False nothing; or
-            a function that is called with each such line.
+        progress: True prints on stderr what a fit of more than a second is doing.
 
     Raises:
         TypeError, ValueError: if an input does not suit; if fewer than 50 pixels can be used, the
@@ -77,7 +75,7 @@ def fit(
     """
     checks.one_of("model", model, ("auto", *MODELS))
     checks.one_of("gain", gain, ("fixed", "free"))
-    say = checked_options(pixels, seed, progress)
+    say = checked_options(pixels, seed, progress=progress)
     pictures = Pictures.of(clean, observed, distance, color_space, jpeg)
     specs = [spec for name, spec in MODELS.items() if model in ("auto", name)]
     if model == "auto" and pictures.geometry.widest <= NARROW_PX:
@@ -87,7 +85,7 @@ def fit(
     with one_thread(), torch.inference_mode(False), torch.no_grad():
         say("blurring the clean picture")
         shapes = sorted({x.spec.shape for x in models if x.spec.shape is not None})
-        sample = roughly_weighed(pictures.sample(shapes, int(pixels), seed))
+        sample = pictures.sample(shapes, int(pixels), seed)
         say("learning the noise")
         subset = sample.subsample(_NOISE_PIXELS, seed)
         size = max(len(x.bounds) for x in models)
@@ -96,36 +94,32 @@ def fit(
         richest, end = min(ends, key=lambda pair: pair[1].cost)
         weighed, theta = reweighed(Objective(richest, sample), end.theta, pictures.clips)
         candidates: list[FittedModel[CoefficientModel]] = []
-        for i, candidate in enumerate(models):
-            say(f"fitting {candidate.name!r}, {i + 1} of {len(models)}")
-            objective = Objective(candidate, weighed)
-            solution = solve(objective, theta) if candidate is richest else None
-            # a richer model that explains less than a simpler one has gone astray
-            if solution is None or any(x.solution.cost < solution.cost for x in candidates):
-                hints = [x.numbers for x in candidates[-1:]]
-                solution = multistart(objective, hints, seed)
+
+        def fitted(model: CoefficientModel) -> FittedModel[CoefficientModel]:
+            say(f"fitting {model.name!r}")
+            objective = Objective(model, weighed)
+            # a richer model is to explain no less than a simpler one
+            hints = [dict(zip(richest.bounds, theta.tolist(), strict=True))]
+            hints += [x.numbers for x in candidates[-1:]]
+            solution = multistart(objective, hints, seed)
             candidates.append(choose.cross_validated(objective, solution, seed))
-        winner = choose.one_standard_error_rule(candidates)
+            return candidates[-1]
+
+        winner = choose.one_standard_error_rule([fitted(model) for model in models])
         if winner.model.gain:
-            say("fitting without a gain")
-            objective = Objective(replace(winner.model, gain=False), weighed)
-            solution = multistart(objective, [winner.numbers], seed)
-            candidates.append(choose.cross_validated(objective, solution, seed))
-            winner = choose.one_standard_error_rule([winner, candidates[-1]])
-        first = _model_notes(winner, candidates)
-        medium = winner.model.medium(winner.model.coefficients(winner.solution.theta))
-        setting = Setting(medium, color_space=color_space)
+            without = fitted(replace(winner.model, gain=False))
+            winner = choose.one_standard_error_rule([winner, without])
+        coefficients = winner.model.coefficients(winner.solution.theta)
+        setting = Setting(winner.model.medium(coefficients), color_space=color_space)
         result = choose.result_of(winner, candidates, setting, pictures)
-    notes = (*first, *result.notes, *_doubts(winner, result.parameters))
+    notes = (*_notes(winner.model, coefficients, result), *result.notes)
     return replace(result, model=winner.model.spec.name, notes=notes)
 
 
-def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progress:
+def checked_options(pixels: int, seed: int, *, progress: bool) -> Callable[[str], None]:
     """Check options; the function that tells the progress."""
     checks.within("pixels", pixels, *_PIXEL_COUNTS)
     checks.within("seed", seed, 0)
-    if callable(progress):
-        return progress
     began = time.monotonic()
 
     def say(line: str) -> None:
@@ -135,23 +129,17 @@ def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progre
     return say
 
 
-def _model_notes(
-    winner: FittedModel[CoefficientModel], candidates: Sequence[FittedModel[CoefficientModel]]
-) -> list[str]:
-    best, reason = choose.best_of(candidates), ""
-    if best is not winner:
-        reason = f" The fewest numbers within one standard error of the best, {best.model.name!r}."
-    elif len(candidates) > 1:
+def _notes(model: CoefficientModel, c: Coefficients, fit: Fit) -> list[str]:
+    """Sentences on the model, and on what it takes for one."""
+    best, reason = min(fit.candidates, key=lambda candidate: candidate.behind), ""
+    if not best.chosen:
+        reason = f" The fewest numbers within one standard error of the best, {best.name!r}."
+    elif len(fit.candidates) > 1:
         reason = " It foretells left-out pixels best."
-    return [
-        f"Model {winner.model.name!r}: {winner.model.spec.words}.{reason}",
-        f"The residual is {winner.rms:.2g} RMS of linear light.",
+    sentences = [
+        f"Model {model.name!r}: {model.spec.words}.{reason}",
+        f"The residual is {fit.rms:.2g} RMS of linear light.",
     ]
-
-
-def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Parameter]) -> list[str]:
-    model, theta = winner.model, winner.solution.theta
-    c, geometry, sentences = model.coefficients(theta), model.geometry, []
     if model.spec.shape is None:
         sentences.append(
             "Without a blur, direct light and light that is scattered forward are one: beta is the "
@@ -164,11 +152,6 @@ def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
         )
     else:
         sentences.append(f"Width law: {model.medium(c).width_law}, at b̄ of the medium.")
-    rates = dict(zip(COLOURS, c.G.tolist(), strict=True))
-    endless = {colour: G for colour, G in rates.items() if numbers[f"veil_{colour}"].value is None}
-    sentences += straight_line(endless, geometry.farthest)
     if c.beta.max() > _MAX_BETA:
         sentences.append(f"β reaches {c.beta.max():.3g}/m: are the distances in metres?")
-    if not winner.solution.converged:
-        sentences.append("The fit stopped before it settled.")
-    return sentences
+    return sentences + straight_line(fit.parameters, c.G, model.geometry.farthest)

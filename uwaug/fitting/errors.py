@@ -11,10 +11,11 @@ import numpy as np
 from torch import Tensor
 
 from uwaug._support.types import Array
-from uwaug.fitting.data import Places
+from uwaug.fitting.data import Geometry, Places
 from uwaug.fitting.model import COLOURS, NORMAL, VISIBLE_LIGHT, Model, Quantity, report_slopes
-from uwaug.fitting.result import Parameter, Remainder
+from uwaug.fitting.result import Fit, Parameter, Remainder
 from uwaug.fitting.solve import M, Objective, Solution, influence
+from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
 
 # Standard error, as a share of the number at either end of its interval, above which the number is
@@ -174,6 +175,29 @@ def remainder(objective: Objective[M], theta: Array) -> list[Remainder]:
     return rows
 
 
+def fit_of(
+    objective: Objective[M],
+    solution: Solution,
+    covariance: Covariance,
+    setting: Setting,
+    geometry: Geometry,
+) -> Fit:
+    """The public result: numbers, errors and residuals, and the notes that all fits share."""
+    numbers, matrix = parameters(objective.model, solution, covariance)
+    pixels = objective.pixels
+    residual = objective.model.render(solution.theta, pixels) - pixels.observed
+    return Fit(
+        model=objective.model.name,
+        parameters=numbers,
+        covariance=matrix,
+        setting=setting,
+        geometry=geometry,
+        rms=float(residual[pixels.weights > 0].square().mean().sqrt()),
+        notes=tuple(unknown(numbers)),
+        remainder=tuple(remainder(objective, solution.theta)),
+    )
+
+
 # ---- sentences
 
 
@@ -196,9 +220,13 @@ def left_over(remainder: Sequence[Remainder], design_effect: float, rms: float) 
     ]
 
 
-def straight_line(rates: Mapping[str, float], farthest: float) -> list[str]:
-    """The sentence, if any, on colours whose veil, of rate G (1/m), is straight to the end (m)."""
-    straight = [colour for colour, G in rates.items() if G * farthest < THIN_OPTICAL_DEPTH]
+def straight_line(numbers: Mapping[str, Parameter], G: Array, farthest: float) -> list[str]:
+    """The sentence, if any, on colours whose veil, of rate G (3, 1/m), is straight to the end (m)
+    and not identified.
+    """
+    endless = [x for x in COLOURS if numbers[f"veil_{x}"].value is None]
+    rates = dict(zip(COLOURS, G.tolist(), strict=True))
+    straight = [x for x in endless if rates[x] * farthest < THIN_OPTICAL_DEPTH]
     if not straight:
         return []
     return [

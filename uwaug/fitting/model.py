@@ -76,9 +76,6 @@ class Model(Protocol):
         """Names of quantities that pictures of these numbers do not tell, whatever their errors."""
         return ()
 
-    def shown(self, theta: Array) -> Mapping[str, float]:
-        return {}
-
     def slopes(self, theta: Array, pixels: Pixels) -> Array:
         """Derivatives of the 3·N values by θ (3·N x numbers), by differences. A number of one
         colour moves no other, so those of three colours are moved at once.

@@ -19,8 +19,8 @@ from uwaug._support.atomic import read_text
 from uwaug._support.threads import one_thread
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import FAR_QUANTILE, MIN_SPAN, NEAR_QUANTILE, Geometry, Pixels, Places
-from uwaug.fitting.errors import covariance_of, parameters, remainder, straight_line, unknown
-from uwaug.fitting.model import COLOURS, MAX_GAIN, MODELS, Bounds, CoefficientModel, Model, Quantity
+from uwaug.fitting.errors import covariance_of, fit_of, straight_line
+from uwaug.fitting.model import COLOURS, MODELS, Bounds, CoefficientModel, Model, Quantity
 from uwaug.fitting.result import Fit
 from uwaug.fitting.solve import MAD, MIN_NOISE, Objective, Solution, guess, solve
 from uwaug.formation.colour import decoded, require_values
@@ -30,11 +30,10 @@ from uwaug.formation.setting import Setting
 _MIN_PATCHES = 12  # values of each colour that a fit needs: four of each of its numbers
 _UNEVEN = 0.3  # default standard deviation of the logarithm of the light on a chart
 _MAX_SPREAD = 2.0  # largest standard deviation of a logarithm
-_MAX_LOG = 5.0  # of a chart's light and distance: it is far off
+_MAX_LOG = 9.0  # of exposures, and of a chart's light and distance: it is far off
 _ROUGH_SHARE, _ROUGH_FLOOR = 0.05, 1e-3  # noise of a first fit: a share of the light, and a least
 _ROUNDS = 3  # of noise that is learnt from residuals
 _UNEVEN_LIGHT = 1.5  # ratio of the lights on charts that is worth a note
-_SURE_ERRORS = 4.0  # standard errors between two rates that are worth a note
 _MAX_CAST = 0.05  # difference of the median errors of two colours of a picture
 _CHART_DEPTH = 1.5  # ratio of the distances of the patches of one chart, which may lean
 _BRIGHTEST = (0.01, 2.0)  # values that may be the largest of all
@@ -163,25 +162,16 @@ def fit_patches(
         water = CoefficientModel(MODELS[model], geometry, True)
         patch_model = _PatchModel(water, pictures, charts, picture_of, chart_of, spreads)
         objective, solution = _solved(Objective(patch_model, pixels))
-        theta, pixels = solution.theta, objective.pixels
-        numbers, matrix = parameters(patch_model, solution, covariance_of(objective, solution))
+        theta, covariance = solution.theta, covariance_of(objective, solution)
         coefficients = water.coefficients(theta[: len(water.bounds)])
-        medium, rest = water.medium(coefficients), remainder(objective, theta)
-        error = patch_model.render(theta, pixels) - pixels.observed
-        notes = _notes(patch_model, theta, error / pixels.observed)
-        if model == "haze":
-            notes += _rates_apart(objective, theta)
-    rates = dict(zip(COLOURS, coefficients.G.tolist(), strict=True))
-    return Fit(
-        model=model,
-        parameters=numbers,
-        covariance=matrix,
-        setting=Setting(medium, development=Development(metered=True)),
-        geometry=geometry,
-        rms=float(error[pixels.weights > 0].square().mean().sqrt()),
-        notes=(*notes, *straight_line(rates, geometry.farthest), *unknown(numbers)),
-        remainder=tuple(rest),
-    )
+        setting = Setting(water.medium(coefficients), development=Development(metered=True))
+        fit = fit_of(objective, solution, covariance, setting, geometry)
+        light, measured = patch_model.render(theta, pixels), objective.pixels.observed
+        measured = measured.where(pixels.weights > 0, torch.nan)
+        notes = _notes(patch_model, theta, light / measured - 1)
+        notes += straight_line(fit.parameters, coefficients.G, geometry.farthest)
+    seen = z, measured[0, :, 0].numpy(), light[0, :, 0].numpy()
+    return replace(fit, notes=(*notes, *fit.notes), patches=seen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,11 +197,9 @@ class _PatchModel(Model):
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
-        exposure = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
-        of_chart = Bounds(-_MAX_LOG, _MAX_LOG, 0.0)
-        exposures = {f"exposure {i}": exposure for i in range(1, len(self.pictures))}
-        rows = [(kind, i) for kind in self.spread_of for i in range(len(self.charts))]
-        return self.water.bounds | exposures | {f"{kind} {i}": of_chart for kind, i in rows}
+        names = [f"exposure {i}" for i in range(1, len(self.pictures))]
+        names += [f"{kind} {i}" for kind in self.spread_of for i in range(len(self.charts))]
+        return self.water.bounds | dict.fromkeys(names, Bounds(-_MAX_LOG, _MAX_LOG, 0.0))
 
     def factors(self, theta: Array) -> dict[str, Array]:
         """Exposure of each picture; light and factor on the distance of each chart."""
@@ -307,25 +295,9 @@ def _solved(objective: Objective[_PatchModel]) -> tuple[Objective[_PatchModel], 
     return objective, solution
 
 
-def _rates_apart(objective: Objective[_PatchModel], theta: Array) -> list[str]:
-    """The sentence, if any, on colours whose light fades at another rate than their veil grows."""
-    water = replace(objective.model.water, spec=MODELS["veil"])
-    model = replace(objective.model, water=water)
-    numbers = dict(zip(objective.model.bounds, theta.tolist(), strict=True))
-    # from G = β
-    start = np.array([numbers.get(name, 1.0) for name in model.bounds])
-    apart = Objective(model, objective.pixels)
-    solution = solve(apart, start)
-    errors = np.sqrt(np.diag(covariance_of(apart, solution).matrix))
-    offs = dict(zip(model.bounds, np.abs(solution.theta - 1) > _SURE_ERRORS * errors, strict=True))
-    if not (colours := [colour for colour in COLOURS if offs[f"share_{colour}"]]):
-        return []
-    return [f"Light fades at another rate than the veil in {', '.join(colours)}: try model veil."]
-
-
 def _notes(model: _PatchModel, theta: Array, errors: Tensor) -> list[str]:
     """Sentences on a fit whose values are off by shares of themselves (1x3x1xN)."""
-    errors = torch.where(errors.isfinite(), errors, torch.nan)[0, :, 0]
+    errors = errors[0, :, 0]
     notes = [
         f"Model {model.name!r}: {model.water.spec.words}.",
         f"Half of all values are off by less than {100 * float(errors.abs().nanmedian()):.2g} %.",

@@ -7,6 +7,7 @@ from itertools import product
 from typing import Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug._support.types import Array
@@ -22,7 +23,6 @@ _MIN_CHANGE = 1e-7  # relative change of cost or numbers, below which a fit ends
 _OPTICAL_DEPTHS = np.geomspace(0.05, 12.0, 24)
 _G_OVER_BETA = (0.1, 0.3, 0.6, 1.0)
 _START_PIXELS = 2000  # pixels that decide between starts
-_ROUGH_NOISE = 0.01  # linear light; the noise of a first fit
 MIN_NOISE = 1e-4  # linear light; no camera is better
 _LEVELS = 16  # steps of brightness, each with a spread of residuals
 MAD = 1.4826  # standard deviations in a median absolute deviation of Gaussian noise
@@ -64,8 +64,7 @@ class Objective(Generic[M]):
 class Solution:
     theta: Array
     cost: float  # half of the summed loss
-    at_bound: Array  # −1 or 1 where a number is at its least or largest value, else 0
-    converged: bool  # True if it ended because nothing changed any more
+    at_bound: NDArray[np.bool_]  # True where a number is at its least or largest value
 
 
 def loss(residual: Array) -> Array:
@@ -98,12 +97,9 @@ def solve(objective: Objective[M], start: Array, max_steps: int = 60) -> Solutio
         gtol=_MIN_CHANGE,
     )
     # the method stays inside, if only just
-    margin = _BOUND_MARGIN * (high - low)
-    at_bound = np.where(result.x - low < margin, -1, result.active_mask)
-    at_bound = np.where(high - result.x < margin, 1, at_bound)
-    theta = np.select([at_bound < 0, at_bound > 0], [low, high], result.x)
-    cost = float(loss(objective.residual(theta)).sum() / 2)
-    return Solution(theta, cost, at_bound, result.status > 0)
+    ends = np.minimum(result.x - low, high - result.x) < _BOUND_MARGIN * (high - low)
+    theta = np.where(ends, np.where(result.x - low < high - result.x, low, high), result.x)
+    return Solution(theta, float(loss(objective.residual(theta)).sum() / 2), ends)
 
 
 def multistart(
@@ -157,10 +153,6 @@ def guess(
 
 
 # ---- noise
-
-
-def roughly_weighed(pixels: Pixels) -> Pixels:
-    return replace(pixels, weights=pixels.weights / _ROUGH_NOISE)
 
 
 def reweighed(objective: Objective[M], theta: Array, clips: bool) -> tuple[Pixels, Array]:

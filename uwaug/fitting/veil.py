@@ -134,7 +134,7 @@ def fit_veil(
             f"In {', '.join(full_grown)} what is darkest is as light at {nearest:.3g} m as farther "
             "away: the water is very turbid, or nothing in view is black and V(0) is too high."
         )
-    if straight := straight_line(G, farthest):
+    if straight := straight_line(numbers, c.G, farthest):
         notes += [f"{straight[0]} Open water in view (distance inf) would tell its end."]
     if untold:
         cure = "Dark surfaces nearer and farther, or black ones and darkest=0 (--darkest 0),"
