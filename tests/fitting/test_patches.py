@@ -195,3 +195,8 @@ def test_refuses_a_table(text: str, words: str, tmp_path: Path) -> None:
 def test_refuses(change: dict[str, object], options: dict[str, object], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         fit_patches([patch._replace(**change) for patch in charts(5)], **options)
+
+
+def test_refuses_an_empty_table() -> None:
+    with pytest.raises(ValueError, match="distance must be several"):
+        fit_patches([], **LINEAR)

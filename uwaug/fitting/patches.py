@@ -240,15 +240,15 @@ def _numbered(names: Sequence[str]) -> tuple[list[str], Places]:
 
 def _pixels(patches: Sequence[Patch], chart_of: Places, color_space: ColorSpace) -> Pixels:
     """Patches as pixels whose blocks are charts."""
-    z = torch.tensor([patch.distance for patch in patches], dtype=torch.float64)
-    air, water = (
-        torch.tensor(values, dtype=torch.float64).reshape(-1, 3).T.reshape(1, 3, 1, -1)
-        for values in ([patch.air for patch in patches], [patch.water for patch in patches])
-    )
+    z = torch.tensor([patch.distance for patch in patches] or [0.0], dtype=torch.float64)
     nearest, farthest = float(z.min()), float(z.max())
     if not 0 < nearest <= farthest - MIN_SPAN * float(z.median()) or farthest > _FARTHEST:
         got = f"{nearest:g} to {farthest:g}"
         raise ValueError(f"patches: distance must be several, 0…{_FARTHEST:g} m, got {got}")
+    air, water = (
+        torch.tensor(values, dtype=torch.float64).reshape(-1, 3).T.reshape(1, 3, 1, -1)
+        for values in ([patch.air for patch in patches], [patch.water for patch in patches])
+    )
     # white is clipped
     is_used = (water > 0) & (water < 1)
     water = torch.where(water.isnan(), 0.0, water)
