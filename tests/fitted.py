@@ -70,10 +70,10 @@ def objective(
     ones, where noise is clipped, have none.
     """
     pictures = Pictures.of(*known, "srgb")
-    model = CoefficientModel(MODELS[name], pictures.geometry, gain, {})
+    model = CoefficientModel(MODELS[name], pictures.geometry, gain)
     pixels = pictures.sample([model.spec.shape] if model.spec.shape else (), count, 0)
     lit = pixels.observed.mean(1, keepdim=True) > 0.05
-    return Objective(model, replace(pixels, weights=pixels.weights * lit / 0.01))
+    return Objective(model, replace(pixels, weights=pixels.weights * lit))
 
 
 def errors(fit: Any, truth: Any = TRUTH, kinds: Any = ("beta", "G", "veil")) -> Any:

@@ -1,20 +1,19 @@
-"""Patches of charts at known distances, and the water that explains them by coefficients."""
+"""Patches of charts at known distances, and the water that explains them."""
 
 import csv
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+
+from uwaug.fitting import Fit, Patch, fit_patches
 
 Array = NDArray[np.float64]
 Some = NDArray[Any]  # names, numbers or a mask
 
 GREYS = ("gray1", "gray2", "gray3", "gray4", "black")
 LIGHT_SD = 0.3  # of the logarithm of a chart's light: charts are tilted, some in shade
-ERROR = 0.05  # of a patch, as a share of its light
-STARTS = (0.1, 0.3)  # rates, 1/m
 
 
 class Patches(NamedTuple):
@@ -66,49 +65,11 @@ def greys(patches: Patches) -> Patches:
     return some.of(np.isin(some.charts, charts[counts >= 3]))
 
 
-class Haze(NamedTuple):
-    """Direct light and veil by coefficients of each colour, one water for several pictures."""
-
-    beta: Array  # 3, 1/m
-    G: Array  # 3, 1/m
-    veil: Array  # 3, of a chart's light
-    gains: dict[str, Array]  # of each picture, 3
-    lights: dict[str, float]  # of each chart
-    errors: Array  # 3, standard errors of β, 1/m
-    squares: float  # sum of squared residuals, in sigmas, priors too
-
-    def terms(self, z: Array) -> tuple[Array, Array]:
-        """Share that arrives, and veil (Nx3)."""
-        return np.exp(-self.beta * z[:, None]), self.veil * -np.expm1(-self.G * z[:, None])
-
-
-def fit_haze(patches: Patches, *, two_rates: bool = False) -> Haze:
-    """Rates and veils by least squares, with a gain of each picture and colour, a light a chart."""
-    pictures, picture = np.unique(patches.pictures, return_inverse=True)
-    charts, chart = np.unique(patches.charts, return_inverse=True)
-    ends = np.cumsum([3, 3 * two_rates, 3, 3 * len(pictures), len(charts)])
-
-    def haze(theta: Array) -> Haze:
-        beta, G, veil, gains, lights = np.split(np.exp(theta), ends[:-1])
-        each = dict(zip(pictures.tolist(), gains.reshape(-1, 3), strict=True))
-        light = dict(zip(charts.tolist(), lights.tolist(), strict=True))
-        return Haze(beta, G if two_rates else beta, veil, each, light, beta, 0.0)
-
-    def residual(theta: Array) -> Array:
-        water = haze(theta)
-        arriving, veil = water.terms(patches.z)
-        gains, lights = np.stack([*water.gains.values()]), np.array([*water.lights.values()])
-        light = gains[picture] * (lights[chart, None] * arriving * patches.air + veil)
-        misses = (light / patches.wet - 1) / ERROR
-        return np.concatenate([misses.ravel(), theta[ends[3] :] / LIGHT_SD])
-
-    ends_of = []
-    for rate in STARTS:
-        begin = np.zeros(ends[-1])
-        begin[: ends[1]], begin[ends[1] : ends[2]] = np.log(rate), np.log(0.05)
-        begin[ends[2] : ends[3]] = 1.5
-        ends_of.append(least_squares(residual, begin, x_scale="jac", max_nfev=500))
-    best = min(ends_of, key=lambda end: end.cost)
-    water = haze(best.x)
-    spread = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac)))[:3]
-    return water._replace(errors=water.beta * spread, squares=2 * float(best.cost))
+def fitted(patches: Patches, model: Literal["haze", "veil"] = "haze") -> Fit:
+    """The water of patches in camera space, with a light for each chart."""
+    columns = patches.pictures, patches.charts, patches.z, patches.air, patches.wet
+    rows = [
+        Patch(picture, chart, z, tuple(air), tuple(wet))
+        for picture, chart, z, air, wet in zip(*(x.tolist() for x in columns), strict=True)
+    ]
+    return fit_patches(rows, color_space="linear", model=model)

@@ -14,6 +14,7 @@ adds what trained nets make of whole pictures. An arm's errors are means over it
 
 import csv
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from skimage.color import deltaE_ciede2000, rgb2lab
 
 from benchmarks.evidence import restore as evidence
 from benchmarks.evidence.restore import BASELINES, LUMINANCE
-from benchmarks.water.patches import GREYS, Array, Patches, Some, fit_haze, greys, read
+from benchmarks.water.patches import GREYS, Array, Patches, Some, fitted, greys, read
 from uwaug import Medium
 from uwaug.formation import linear_to_srgb
 
@@ -138,11 +139,13 @@ def restored(kit: Path, patches: Patches) -> dict[str, Array]:
         own, others = patches.of(inside), greys(patches.of(~inside))
         jerlov = Medium.from_water("IB", vertical_depth=DEPTH)
         waters: dict[str, Water] = {GREY: nothing, "Jerlov IB": of_medium(jerlov)}
-        if len(others.z):
-            waters["one rate"] = fit_haze(others).terms
-            waters["two rates"] = fit_haze(others, two_rates=True).terms
-        if len(greys(own).z):
-            waters["one rate, own charts"] = fit_haze(greys(own)).terms
+        for name, charts, model in (
+            ("one rate", others, "haze"),
+            ("two rates", others, "veil"),
+            ("one rate, own charts", greys(own), "haze"),
+        ):
+            with suppress(ValueError):  # too few to tell a water
+                waters[name] = of_medium(fitted(charts, model).medium)
         ways = by_picture(kit, own) | {name: dry(own, water) for name, water in waters.items()}
         for name, light in ways.items():
             answers.setdefault(name, np.full(patches.wet.shape, np.nan))[inside] = light
@@ -155,8 +158,8 @@ def medians(values: Array, charts: Some) -> list[float]:
     of = [values[charts == name] for name in names]
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, len(of), (RESAMPLES, len(of)))
-    resampled = [np.nanmedian(np.concatenate([of[k] for k in row])) for row in drawn]
-    return [float(np.nanmedian(values)), *np.quantile(resampled, (0.025, 0.975)).tolist()]
+    resampled = [np.median(np.concatenate([of[k] for k in row])) for row in drawn]
+    return [float(np.median(values)), *np.quantile(resampled, (0.025, 0.975)).tolist()]
 
 
 def main(kit: Path, nets: Path | None = None) -> dict[str, Any]:
@@ -184,10 +187,11 @@ def main(kit: Path, nets: Path | None = None) -> dict[str, Any]:
             misses[name][some] = np.mean(rows, 0)
         print(f"\nΔE2000, a gain {gain}", "all, more than one grey", *[*parts][1:], sep="; ")
         for name, of_name in misses.items():
-            groups_of = {part: scored & of for part, of in parts.items() if (scored & of).any()}
+            told = scored & np.isfinite(of_name)
+            groups_of = {part: told & of for part, of in parts.items() if (told & of).any()}
             row = {part: medians(of_name[of], patches.charts[of]) for part, of in groups_of.items()}
             first, *rest = (f"{median:6.1f}" for median, *_ in row.values())
-            row["more"] = medians((of_name - misses[GREY])[scored], patches.charts[scored])
+            row["more"] = medians((of_name - misses[GREY])[told], patches.charts[told])
             more = "{:+.1f} ({:+.1f} to {:+.1f})".format(*row["more"])
             print(f"{name:23} {first} {more}", *rest)
             results[f"{name}, a gain {gain}"] = row

@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 import torch
 
-from benchmarks.water.patches import LIGHT_SD, Array, Patches, Some, fit_haze, greys, read
+from benchmarks.water.patches import LIGHT_SD, Array, Patches, Some, fitted, greys, read
 from uwaug import Medium, Water
+from uwaug.fitting.model import COLOURS
 from uwaug.optics.jerlov import JERLOV_TYPES
 
 CAMERAS = ("Nikon 5100 (NPL)", "Sigma SDMerill (NPL)")
@@ -123,14 +124,16 @@ def main(kit: Path) -> dict[str, Any]:
     """Print the rates by two readings, what speaks against one veil, and the types."""
     torch.set_num_threads(1)
     patches = read(kit)
-    charts, haze = contrasts_of(greys(patches)), fit_haze(greys(patches))
+    charts, fit = contrasts_of(greys(patches)), fitted(greys(patches))
+    numbers = [fit.parameters[f"beta_{colour}"] for colour in COLOURS]
+    haze = [[x.value for x in numbers], [x.error for x in numbers]]
     squares, rates, covariance = charts.explained()
     differ = np.array([[1, 0, -1], [0, 1, -1]])
     errors, spread = (np.sqrt(np.diag(x)) for x in (covariance, differ @ covariance @ differ.T))
     print("rates of red, green, blue, 1/m, each with its standard errors")
     shown("contrasts", np.append(rates, errors))
     shown("  red − blue, green − blue", np.append(differ @ rates, spread))
-    shown("one rate, one veil for all charts", np.append(haze.beta, haze.errors))
+    shown("one rate, one veil for all charts", np.concatenate(haze))
     darkest = dark(kit, patches, charts)
     for chart, share in darkest.items():
         shown(f"darkest pixels / {chart}", share, 2)
@@ -143,7 +146,7 @@ def main(kit: Path) -> dict[str, Any]:
             shown(name, [*row.values()], 2)
     return {
         "contrasts": [rates.tolist(), errors.tolist()],
-        "one veil": [haze.beta.tolist(), haze.errors.tolist()],
+        "one veil": haze,
         "darkest": {chart: share.tolist() for chart, share in darkest.items()},
         "squares": squares,
         "types": tables,

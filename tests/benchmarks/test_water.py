@@ -9,16 +9,17 @@ import torch
 
 from benchmarks.evidence.restore import Net, linear, restorer
 from benchmarks.water import restore, waters
-from benchmarks.water.patches import GREYS, Patches, fit_haze
+from benchmarks.water.patches import GREYS, Patches, fitted
 from uwaug import Medium
 
 RATES, VEIL = np.array([0.3, 0.2, 0.25]), np.array([0.02, 0.05, 0.06])
 GAINS = {"near": np.array([2.0, 3.0, 4.0]), "far": np.array([1.0, 5.0, 2.0])}
+EXPOSURES = {"near": GAINS["near"], "far": 0.6 * GAINS["near"]}  # of one white balance
 WOBBLE = 1 + 0.002 * np.sin(np.arange(15)).reshape(5, 3)  # noise, alike in all charts
 REFLECTANCES = np.array([0.24, 0.18, 0.12, 0.08, 0.03])[:, None].repeat(3, 1)
 
 
-def charts(water: restore.Water) -> Patches:
+def charts(water: restore.Water, gains=GAINS) -> Patches:
     """Greys of five charts in two pictures."""
     parts = []
     for picture, metres in (
@@ -30,7 +31,7 @@ def charts(water: restore.Water) -> Patches:
     ):
         z = np.full(5, metres)
         arriving, veil = water(z)
-        wet = GAINS[picture] * (arriving * REFLECTANCES + veil) * WOBBLE
+        wet = gains[picture] * (arriving * REFLECTANCES + veil) * WOBBLE
         names = np.array([picture] * 5), np.array([f"{picture} {metres}"] * 5), np.array(GREYS)
         parts.append((*names, z, wet, REFLECTANCES, wet, REFLECTANCES))
     return Patches(*map(np.concatenate, zip(*parts, strict=True)), np.eye(3))
@@ -59,11 +60,11 @@ def test_a_type_as_it_is_explains_its_own_charts_best(monkeypatch):
 
 
 def test_haze_is_found_and_undone():
-    patches = charts(haze)
-    water = fit_haze(patches)
-    assert water.beta == pytest.approx(RATES, rel=0.03)
+    patches = charts(haze, EXPOSURES)
+    medium = fitted(patches).medium
+    assert medium.G[0].tolist() == pytest.approx(RATES, rel=0.03)
     near = patches.of(patches.pictures == "near")
-    assert restore.dry(near, water.terms) == pytest.approx(near.truth, rel=0.05)
+    assert restore.dry(near, restore.of_medium(medium)) == pytest.approx(near.truth, rel=0.05)
     assert restore.dry(near, restore.nothing) != pytest.approx(near.truth, rel=0.2)
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from texts import require_room
 
 import uwaug
 from uwaug.fitting import Fit, Patch, fit_patches, load_fit, read_patches
@@ -109,22 +110,6 @@ def test_another_white_balance_is_told() -> None:
     assert not any("cast" in note for note in fit_patches(charts(1), **LINEAR).notes)
 
 
-def test_light_that_fades_at_another_rate_than_the_veil_is_told() -> None:
-    patches = []
-    for p in charts(1, uneven=0.1, noise=0.01):
-        fog = [
-            EXPOSURES[p.picture] * v * -math.expm1(-g * p.distance)
-            for v, g in zip(VEIL, RATES, strict=True)
-        ]
-        fading = math.exp(-0.15 * p.distance)
-        seen = tuple(v + (x - v) * fading for x, v in zip(p.water, fog, strict=True))
-        patches.append(p._replace(water=seen))
-    assert any(
-        "another rate than the veil" in note for note in fit_patches(patches, **LINEAR).notes
-    )
-    assert not any("another rate" in note for note in fit_patches(charts(1), **LINEAR).notes)
-
-
 def test_a_preset_is_for_pictures_of_any_exposure(tmp_path: Path) -> None:
     fit_patches(charts(3, noise=0.01), **LINEAR).save(tmp_path / "fit.json")
     image = torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(0))
@@ -141,6 +126,22 @@ def test_is_a_fit_like_any_other(tmp_path: Path) -> None:
     assert again.summary() == fit.summary()
     assert "light_far/1" in again.summary()
     assert again.module()(torch.rand(3, 8, 8), torch.full((1, 8, 8), 4.0)).isfinite().all()
+
+
+def test_a_figure_shows_each_patch_by_distance(monkeypatch: pytest.MonkeyPatch) -> None:
+    patches = charts(3)
+    patches[4] = patches[4]._replace(water=(math.nan, *patches[4].water[1:]))
+    fit = fit_patches(patches, **LINEAR)
+    shown, curves, _ = fit.plot().axes
+    for c, points in enumerate(shown.collections):
+        measured, fitted = torch.from_numpy(points.get_offsets().filled(math.nan)).T
+        seen = [p.water[c] if p.water[c] < 1 else math.nan for p in patches]  # else clipped
+        assert measured.tolist() == pytest.approx(seen, nan_ok=True)
+        assert points.get_array()[5:].tolist() == [p.distance for p in patches[5:]]
+        assert 0 < (fitted / measured - 1).abs().nanmedian() < 0.03
+    # their height is not the gain of the charts
+    assert [line.get_ydata()[0] for line in curves.lines[:3]] == pytest.approx([1, 1, 1])
+    assert require_room(fit.plot, monkeypatch, margin=10) > 10
 
 
 def test_a_table_says_the_same_with_commas_and_semicolons(tmp_path: Path) -> None:
@@ -194,3 +195,8 @@ def test_refuses_a_table(text: str, words: str, tmp_path: Path) -> None:
 def test_refuses(change: dict[str, object], options: dict[str, object], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         fit_patches([patch._replace(**change) for patch in charts(5)], **options)
+
+
+def test_refuses_an_empty_table() -> None:
+    with pytest.raises(ValueError, match="distance must be several"):
+        fit_patches([], **LINEAR)

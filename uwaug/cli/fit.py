@@ -74,9 +74,8 @@ def fit(
     import uwaug
     from uwaug.distance import Metres
     from uwaug.distance.unknown import of_metres
-    from uwaug.files.pictures import read_picture
+    from uwaug.files.pictures import jpeg_quality, read_picture
     from uwaug.fitting import fit_veil, fit_water
-    from uwaug.fitting.data import jpeg_quality
 
     with reported_errors():
         if gain == "fixed" and (model == "waters" or clean is None):

@@ -26,6 +26,7 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _BIT_DEPTH = 24  # place in a PNG of the byte with the number of bits of a channel
 _PROFILE_TAG, _NODATA_TAG = 34675, 42113  # of TIFF
 _REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of red, green, blue, white
+_JPEG_TABLE_SUM = 3688  # of the standard's table for luminance, which is quality 50
 _SAME_LEVELS = 2  # by which profiles of sRGB differ, of 255
 
 
@@ -132,6 +133,19 @@ def metres_of(unit: str | float) -> float:
         return UNITS[unit]
     checks.positive("unit", unit, "m")
     return float(unit)
+
+
+def jpeg_quality(path: str | Path) -> int | None:
+    """Quality of a JPEG file by its table for luminance, 1…100; None of other files."""
+    if Path(path).suffix.lower() not in (".jpg", ".jpeg"):
+        return None
+    with Image.open(path) as image:
+        table = getattr(image, "quantization", {}).get(0)
+    if not table:
+        return None
+    percent = 100 * sum(table) / _JPEG_TABLE_SUM
+    quality = (200 - percent) / 2 if percent <= 100 else 5000 / percent
+    return int(min(max(round(quality), 1), 100))
 
 
 def write_picture(

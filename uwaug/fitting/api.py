@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -14,24 +14,17 @@ from uwaug._support.threads import one_thread
 from uwaug._support.types import ColorSpace
 from uwaug.fitting import choose
 from uwaug.fitting.choose import FittedModel
-from uwaug.fitting.data import Geometry, Pictures
+from uwaug.fitting.data import Pictures
 from uwaug.fitting.errors import straight_line
-from uwaug.fitting.model import COLOURS, EXPONENTS, MODELS, NARROW_PX, CoefficientModel
-from uwaug.fitting.result import Fit, Parameter
-from uwaug.fitting.solve import Objective, guess, multistart, reweighed, roughly_weighed, solve
-from uwaug.formation.colour import linear_to_srgb
+from uwaug.fitting.model import MODELS, NARROW_PX, CoefficientModel, Coefficients
+from uwaug.fitting.result import Fit
+from uwaug.fitting.solve import Objective, multistart, reweighed
 from uwaug.formation.setting import Setting
 
-Progress = Callable[[str], None]
 _PIXEL_COUNTS = (500, 100_000)  # least and most pixels of a fit
-_MAX_FIXED = 1e6  # largest value of a fixed number
 _NOISE_PIXELS = 4000  # pixels from which the noise is first estimated
 _QUIET_SECONDS = 1.0  # s, before progress is printed
-_POOR_SHARE = 0.8  # of the observed variance; a model that explains less gets a warning
 _MAX_BETA = 30.0  # 1/m; no natural water attenuates more
-_HAZE_PIXELS = 2000  # pixels of the fit of encoded values
-# Ratio of residuals that is worth a note; pictures of light reached 1.01, hazes of values 1.08.
-_MIN_RATIO = 1.05
 
 
 def fit(
@@ -40,13 +33,12 @@ def fit(
     distance: Tensor,
     *,
     model: str = "auto",
-    fixed: Mapping[str, float] | None = None,
     gain: Literal["fixed", "free"] = "free",
     color_space: ColorSpace = "srgb",
     jpeg: int | None = None,
     pixels: int = 20_000,
     seed: int = 0,
-    progress: bool | Progress = True,
+    progress: bool = True,
 ) -> Fit:
     """Recover a water from pictures of one scene without it and in it.
 
@@ -59,16 +51,13 @@ def fit(
             "gaussian" and "exponential" (forward scatter with a width law, too). "auto": the one
             with the fewest numbers that predicts left-out blocks of the picture as well as any; of
             "haze" and "veil" alone where the short side has four pixels or less.
-        fixed: known numbers by their names in `Fit.parameters`, such as {"G_red": .3}: beta, G and
-            veil of a colour, width, exponent.
         gain: "free": each colour gets a factor for exposure, white balance and daylight lost above
             the scene, if left-out pixels are predicted better with it. "fixed": there is none.
         color_space: "srgb": values are decoded to linear light. "linear": they are taken as is.
         jpeg: quality, 1…100, of the JPEG file that `observed` was; its loss then counts as error.
         pixels: number of pixels to fit, spread evenly over the distances, 500…100 000.
-        seed: of the choice of pixels and of random starts.
-        progress: True prints on stderr what a fit of more than a second is doing; False nothing; or
-            a function that is called with each such line.
+        seed: of the choice of pixels.
+        progress: True prints on stderr what a fit of more than a second is doing.
 
     Raises:
         TypeError, ValueError: if an input does not suit; if fewer than 50 pixels can be used, the
@@ -86,14 +75,17 @@ def fit(
     """
     checks.one_of("model", model, ("auto", *MODELS))
     checks.one_of("gain", gain, ("fixed", "free"))
-    say = checked_options(pixels, seed, progress)
+    say = checked_options(pixels, seed, progress=progress)
     pictures = Pictures.of(clean, observed, distance, color_space, jpeg)
-    models = _models(model, pictures.geometry, fixed or {}, gain=gain == "free")
+    specs = [spec for name, spec in MODELS.items() if model in ("auto", name)]
+    if model == "auto" and pictures.geometry.widest <= NARROW_PX:
+        specs = [spec for spec in specs if spec.shape is None]
+    models = [CoefficientModel(spec, pictures.geometry, gain == "free") for spec in specs]
     # a medium that is made in inference mode could not be trained
     with one_thread(), torch.inference_mode(False), torch.no_grad():
         say("blurring the clean picture")
         shapes = sorted({x.spec.shape for x in models if x.spec.shape is not None})
-        sample = roughly_weighed(pictures.sample(shapes, int(pixels), seed))
+        sample = pictures.sample(shapes, int(pixels), seed)
         say("learning the noise")
         subset = sample.subsample(_NOISE_PIXELS, seed)
         size = max(len(x.bounds) for x in models)
@@ -102,39 +94,32 @@ def fit(
         richest, end = min(ends, key=lambda pair: pair[1].cost)
         weighed, theta = reweighed(Objective(richest, sample), end.theta, pictures.clips)
         candidates: list[FittedModel[CoefficientModel]] = []
-        for i, candidate in enumerate(models):
-            say(f"fitting {candidate.name!r}, {i + 1} of {len(models)}")
-            objective = Objective(candidate, weighed)
-            solution = solve(objective, theta) if candidate is richest else None
-            # a richer model that explains less than a simpler one has gone astray
-            if solution is None or any(x.solution.cost < solution.cost for x in candidates):
-                hints = [x.numbers for x in candidates[-1:]]
-                solution = multistart(objective, hints, seed)
+
+        def fitted(model: CoefficientModel) -> FittedModel[CoefficientModel]:
+            say(f"fitting {model.name!r}")
+            objective = Objective(model, weighed)
+            # a richer model is to explain no less than a simpler one
+            hints = [dict(zip(richest.bounds, theta.tolist(), strict=True))]
+            hints += [x.numbers for x in candidates[-1:]]
+            solution = multistart(objective, hints, seed)
             candidates.append(choose.cross_validated(objective, solution, seed))
-        winner = choose.one_standard_error_rule(candidates)
+            return candidates[-1]
+
+        winner = choose.one_standard_error_rule([fitted(model) for model in models])
         if winner.model.gain:
-            say("fitting without a gain")
-            objective = Objective(replace(winner.model, gain=False), weighed)
-            solution = multistart(objective, [winner.numbers], seed)
-            candidates.append(choose.cross_validated(objective, solution, seed))
-            winner = choose.one_standard_error_rule([winner, candidates[-1]])
-        first = _model_notes(winner, candidates)
-        if color_space == "srgb":
-            say("trying encoded values")
-            first += _encoded_haze_notes(winner, gain == "free", seed)
-        medium = winner.model.medium(winner.model.coefficients(winner.solution.theta))
-        setting = Setting(medium, color_space=color_space)
+            without = fitted(replace(winner.model, gain=False))
+            winner = choose.one_standard_error_rule([winner, without])
+        coefficients = winner.model.coefficients(winner.solution.theta)
+        setting = Setting(winner.model.medium(coefficients), color_space=color_space)
         result = choose.result_of(winner, candidates, setting, pictures)
-    notes = (*first, *result.notes, *_doubts(winner, result.parameters))
+    notes = (*_notes(winner.model, coefficients, result), *result.notes)
     return replace(result, model=winner.model.spec.name, notes=notes)
 
 
-def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progress:
+def checked_options(pixels: int, seed: int, *, progress: bool) -> Callable[[str], None]:
     """Check options; the function that tells the progress."""
     checks.within("pixels", pixels, *_PIXEL_COUNTS)
     checks.within("seed", seed, 0)
-    if callable(progress):
-        return progress
     began = time.monotonic()
 
     def say(line: str) -> None:
@@ -144,80 +129,17 @@ def checked_options(pixels: int, seed: int, progress: bool | Progress) -> Progre
     return say
 
 
-def _models(
-    name: str, geometry: Geometry, fixed: Mapping[str, float], *, gain: bool
-) -> list[CoefficientModel]:
-    """The models of a name, or all for "auto", that have a place for every fixed number."""
-    specs = [MODELS[name]] if name in MODELS else list(MODELS.values())
-    if name == "auto" and geometry.widest <= NARROW_PX:
-        specs = [spec for spec in specs if spec.shape is None]
-    candidates = [CoefficientModel(spec, geometry, gain, {}) for spec in specs]
-    models = [x for x in candidates if set(fixed) <= set(x.fixable)]
-    if not models:
-        raise ValueError(f"fixed: expected some of {candidates[-1].fixable}, got {[*fixed]}")
-    for key, value in fixed.items():
-        low = EXPONENTS[0] if key == "exponent" else 0.0
-        high = {"width": geometry.widest, "exponent": EXPONENTS[1]}.get(key, _MAX_FIXED)
-        checks.within(f"fixed[{key!r}]", value, low, high)
-    for colour in COLOURS:
-        beta, G = fixed.get(f"beta_{colour}"), fixed.get(f"G_{colour}")
-        if beta is not None and G is not None and beta < G:
-            models = [x for x in models if x.spec.shape is None]
-    models = [x for x in (replace(x, fixed=dict(fixed)) for x in models) if x.bounds]
-    if not models:
-        raise ValueError(f"fixed: leaves nothing that may be fitted, got {dict(fixed)}")
-    return models
-
-
-def _model_notes(
-    winner: FittedModel[CoefficientModel], candidates: Sequence[FittedModel[CoefficientModel]]
-) -> list[str]:
-    best, reason, warning = choose.best_of(candidates), "", ""
-    if best is not winner:
-        reason = f" The fewest numbers within one standard error of the best, {best.model.name!r}."
-    elif len(candidates) > 1:
+def _notes(model: CoefficientModel, c: Coefficients, fit: Fit) -> list[str]:
+    """Sentences on the model, and on what it takes for one."""
+    best, reason = min(fit.candidates, key=lambda candidate: candidate.behind), ""
+    if not best.chosen:
+        reason = f" The fewest numbers within one standard error of the best, {best.name!r}."
+    elif len(fit.candidates) > 1:
         reason = " It foretells left-out pixels best."
-    if winner.explained < _POOR_SHARE:
-        warning = " That is little: are the pictures aligned, of one scene, and in metres?"
-    return [
-        f"Model {winner.model.name!r}: {winner.model.spec.words}.{reason}",
-        f"The residual is {winner.rms:.2g} RMS of linear light; {100 * winner.explained:.4g} % of "
-        f"the variance of the observed pixels is explained.{warning}",
+    sentences = [
+        f"Model {model.name!r}: {model.spec.words}.{reason}",
+        f"The residual is {fit.rms:.2g} RMS of linear light.",
     ]
-
-
-def _encoded_haze_notes(winner: FittedModel[CoefficientModel], gain: bool, seed: int) -> list[str]:
-    """A note if a haze that is fitted to the sRGB values explains them better than the winner: most
-    published synthesisers compose it so.
-    """
-    haze = replace(winner.model, spec=MODELS["haze"], gain=gain)
-    if not set(haze.fixed) <= set(haze.fixable) or not haze.bounds:
-        return []  # a haze has no place for the fixed numbers
-    pixels = winner.objective.pixels
-    is_used = pixels.weights > 0
-    clean, observed = linear_to_srgb(pixels.clean), linear_to_srgb(pixels.observed)
-    values = replace(pixels, clean=clean, observed=observed, weights=is_used.double(), stacks={})
-    objective = Objective(haze, roughly_weighed(values).subsample(_HAZE_PIXELS, seed))
-    theta = solve(objective, haze.start(guess(objective))).theta
-
-    def rms(picture: Tensor) -> float:
-        return float((picture - observed)[is_used].square().mean().sqrt())
-
-    of_light = rms(linear_to_srgb(winner.model.render(winner.solution.theta, pixels)))
-    of_values = rms(haze.render(theta, values))
-    if of_light < _MIN_RATIO * of_values:
-        return []
-    return [
-        f"A haze that was composed in encoded values fits {of_light / of_values:.2g} times better: "
-        f"it is {of_values:.2g} RMS of sRGB values off, this fit {of_light:.2g}. Give "
-        'color_space="linear" (--color-space linear), which takes values as they are: numbers '
-        "then refer to them. Those here are wrong, and so may be a blur."
-    ]
-
-
-def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Parameter]) -> list[str]:
-    model, theta = winner.model, winner.solution.theta
-    c, geometry, sentences = model.coefficients(theta), model.geometry, []
     if model.spec.shape is None:
         sentences.append(
             "Without a blur, direct light and light that is scattered forward are one: beta is the "
@@ -230,11 +152,6 @@ def _doubts(winner: FittedModel[CoefficientModel], numbers: Mapping[str, Paramet
         )
     else:
         sentences.append(f"Width law: {model.medium(c).width_law}, at b̄ of the medium.")
-    rates = dict(zip(COLOURS, c.G.tolist(), strict=True))
-    endless = {colour: G for colour, G in rates.items() if numbers[f"veil_{colour}"].value is None}
-    sentences += straight_line(endless, geometry.farthest)
     if c.beta.max() > _MAX_BETA:
         sentences.append(f"β reaches {c.beta.max():.3g}/m: are the distances in metres?")
-    if not winner.solution.converged:
-        sentences.append("The fit stopped before it settled: fix what is known.")
-    return sentences
+    return sentences + straight_line(fit.parameters, c.G, model.geometry.farthest)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Generic
 
 import numpy as np
@@ -10,7 +9,7 @@ import torch
 
 from uwaug._support.types import Array
 from uwaug.fitting.data import Pictures
-from uwaug.fitting.errors import covariance_of, left_over, parameters, remainder, unknown
+from uwaug.fitting.errors import covariance_of, fit_of, left_over
 from uwaug.fitting.result import Candidate, Fit
 from uwaug.fitting.solve import M, Objective, Solution, loss, solve
 from uwaug.formation.setting import Setting
@@ -45,22 +44,6 @@ class FittedModel(Generic[M]):
         mean = difference.sum() / max(difference.size, 1)
         return float(difference.sum()), float(np.linalg.norm(difference - mean))
 
-    @cached_property
-    def rms(self) -> float:
-        """Root mean square of the residual, in linear light."""
-        pixels = self.objective.pixels
-        residual = self.model.render(self.solution.theta, pixels) - pixels.observed
-        return float(residual[pixels.weights > 0].square().mean().sqrt())
-
-    @property
-    def explained(self) -> float:
-        """Share of the variance of the observed pixels that the model explains."""
-        pixels = self.objective.pixels
-        colours = zip(pixels.observed[0], pixels.weights[0] > 0, strict=True)
-        lights = [light[is_used] for light, is_used in colours]
-        variance = float(torch.cat([x - x.mean() for x in lights]).square().mean())
-        return 1 - self.rms**2 / variance if variance > 0 else 0.0
-
 
 def result_of(
     winner: FittedModel[M],
@@ -68,31 +51,24 @@ def result_of(
     setting: Setting,
     pictures: Pictures,
 ) -> Fit:
-    """The public result: numbers and errors of the winner, and the notes that all fits share."""
-    objective, solution = winner.objective, winner.solution
-    # the fit may take what the file has lost for a blur: with and without one
-    sharp = replace(setting, medium=replace(setting.medium, scale=0 * setting.medium.scale))
-    lost = [pictures.lost(pictures.rendered(each)) for each in (setting, sharp)]
-    covariance = covariance_of(objective, solution, [x for x in lost if x is not None])
-    numbers, matrix = parameters(winner.model, solution, covariance)
-    rest, best, rows = remainder(objective, solution.theta), best_of(candidates), []
-    doubts = left_over(rest, covariance.design_effect, winner.rms)
+    """The result of pictures, and of what was tried."""
+    lost, best, rows = [], best_of(candidates), []
+    if pictures.jpeg is not None:
+        # the fit may take what the file has lost for a blur: with and without one
+        sharp = replace(setting, medium=replace(setting.medium, scale=0 * setting.medium.scale))
+        lost = [pictures.lost(pictures.rendered(x), pictures.jpeg) for x in (setting, sharp)]
+    covariance = covariance_of(winner.objective, winner.solution, lost)
+    fit = fit_of(winner.objective, winner.solution, covariance, setting, pictures.geometry)
+    doubts = left_over(fit.remainder, covariance.design_effect, fit.rms)
     for x in candidates:
         count = int((x.objective.pixels.weights > 0).sum())
         error = float(np.sqrt(x.loss / max(count, 1)))
-        theta = x.solution.theta
-        numbers_of = len(theta), error, *x.behind(best), x is winner, x.model.shown(theta)
+        numbers_of = len(x.solution.theta), error, *x.behind(best), x is winner
         rows.append(Candidate(x.model.name, *numbers_of))
-    return Fit(
-        model=winner.model.name,
-        parameters=numbers,
-        covariance=matrix,
-        setting=setting,
-        geometry=pictures.geometry,
-        rms=winner.rms,
-        notes=(*doubts, *unknown(numbers)),
+    return replace(
+        fit,
+        notes=(*doubts, *fit.notes),
         candidates=tuple(rows),
-        remainder=tuple(rest),
         adequate=not doubts,
         pictures=pictures,
     )

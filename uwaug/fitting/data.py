@@ -5,11 +5,9 @@ Any width law is a mixture of these blurs. They do not depend on the water, so t
 
 import io
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -36,10 +34,9 @@ _MIN_PIXELS = 50  # usable pixels that a fit needs: three values of each for 12 
 MIN_SPAN = 0.03  # spread of the distances as a share of their median; less is one distance
 _SAME_PICTURE = 2e-3  # mean difference, as a share of the light, below which two pictures are one
 _CLIPPED_LIGHT = 0.98  # linear light of the clean picture, 253 of 255: it may have been brighter
-_LEVEL_ROUNDING = 1e-3  # of a level of 8 bits, up to which a value is one
 _BLUR_TOLERANCE = 2e-4  # error of the blurs, below which no residual can fall
 _WIDEST_BLUR = 1 / 5  # widest blur of a fitted width law, as a share of the picture's short side
-_JPEG_TABLE_SUM = 3688  # of the standard's table for luminance, which is quality 50
+_ROUGH_NOISE = 0.01  # linear light; the noise of a first fit
 _BINS = 20  # equal steps of distance, from each of which as many pixels are taken
 NEAR_QUANTILE, FAR_QUANTILE = 0.05, 0.95  # of the finite distances: the ends of their range
 
@@ -66,7 +63,6 @@ class Pictures:
     usable: Tensor  # Bx1xHxW: True where the distance is known and no value was clipped
     color_space: ColorSpace  # of the input
     clips: bool  # True if light beyond black and white was lost, as in sRGB
-    has_bytes: bool  # True if the observed values are those of 8 bits
     jpeg: int | None = None  # quality at which the observed were stored; None: without loss
 
     @staticmethod
@@ -98,9 +94,7 @@ class Pictures:
         count = max(len(wet), len(z), len(dry))
         z = torch.where(z >= checks.OPEN, FARTHEST, torch.where(z > 0, z, 1.0))
         wet, z, usable = (x.expand(count, -1, -1, -1) for x in (wet, z, usable))
-        levels = 255 * encoded(wet, color_space, torch.float64, 1.0)
-        has_bytes = bool((levels - levels.round()).abs().max() < _LEVEL_ROUNDING)
-        pictures = Pictures(dry, wet, z, usable, color_space, clips, has_bytes, jpeg)
+        pictures = Pictures(dry, wet, z, usable, color_space, clips, jpeg)
         pictures._require_usable()
         return pictures
 
@@ -145,7 +139,7 @@ class Pictures:
             clean=at_places(self.clean),
             observed=observed,
             z=at_places(self.z),
-            weights=torch.ones_like(observed),
+            weights=torch.full_like(observed, 1 / _ROUGH_NOISE),
             places=np.concatenate([i * area + at for i, at in enumerate(places)]),
             blocks=blocks_of(places, self.geometry.size),
             stacks=stacks,
@@ -158,16 +152,11 @@ class Pictures:
         with torch.no_grad():
             return form(clean, z, replace(setting, color_space="linear"))
 
-    def lost(self, light: Tensor) -> Tensor | None:
-        """What pictures (Bx3xHxW, linear light) lose when they are stored as the observed were: by
-        rounding to 8 bits, or by JPEG; None if that is nothing.
-        """
-        if not self.has_bytes:
-            return None
+    def lost(self, light: Tensor, jpeg: int) -> Tensor:
+        """What pictures (Bx3xHxW, linear light) lose when they are stored as JPEG of a quality."""
         light = light.clamp(0, 1)
         values = encoded(light, self.color_space, torch.uint8, 1.0)
-        if self.jpeg is not None:
-            values = torch.stack([_through_jpeg(value, self.jpeg) for value in values])
+        values = torch.stack([_through_jpeg(value, jpeg) for value in values])
         return decoded(values, self.color_space) - light
 
     def _require_usable(self) -> None:
@@ -212,7 +201,7 @@ class Pixels:
     def blocks_of_values(self) -> Places:
         return np.tile(self.blocks, 3)
 
-    def subsample(self, count: int, seed: "int | np.random.Generator") -> "Pixels":
+    def subsample(self, count: int, seed: int) -> "Pixels":
         n = self.z.shape[-1]
         if count >= n:
             return self
@@ -237,19 +226,6 @@ def blocks_of(places: Sequence[Places], size: tuple[int, int]) -> Places:
     return np.unique(np.concatenate(numbers), return_inverse=True)[1]
 
 
-def jpeg_quality(path: str | os.PathLike[str]) -> int | None:
-    """Quality of a JPEG file by its table for luminance, 1…100; None of other files."""
-    if Path(path).suffix.lower() not in (".jpg", ".jpeg"):
-        return None
-    with Image.open(path) as image:
-        table = getattr(image, "quantization", {}).get(0)
-    if not table:
-        return None
-    percent = 100 * sum(table) / _JPEG_TABLE_SUM
-    quality = (200 - percent) / 2 if percent <= 100 else 5000 / percent
-    return int(min(max(round(quality), 1), 100))
-
-
 def _through_jpeg(values: Tensor, quality: int) -> Tensor:
     file = io.BytesIO()
     Image.fromarray(values.permute(1, 2, 0).numpy()).save(file, "JPEG", quality=quality)
@@ -266,15 +242,11 @@ def _stratified(
     z: Array, usable: NDArray[np.bool_], count: int, rng: np.random.Generator
 ) -> Places:
     """Places of `count` usable pixels of a picture, as evenly by distance as there are pixels."""
-    places = rng.permutation(np.flatnonzero(usable))
+    places = np.flatnonzero(usable)
     if len(places) <= count:
         return places
     z = z[places]
     low, high = np.quantile(z, (NEAR_QUANTILE, FAR_QUANTILE))
     step = np.clip((z - low) / max(high - low, 1e-9) * _BINS, 0, _BINS - 1).astype(np.int64)
-    # the pixels of each step in turn: first one of each, then the second of each, …
-    order = np.argsort(step, kind="stable")
-    first = np.searchsorted(step[order], np.arange(_BINS))
-    turn = np.empty(len(places), dtype=np.int64)
-    turn[order] = np.arange(len(places)) - first[step[order]]
-    return places[np.argsort(turn, kind="stable")[:count]]
+    share = 1 / np.bincount(step)[step]
+    return rng.choice(places, count, replace=False, p=share / share.sum())

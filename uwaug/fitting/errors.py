@@ -11,10 +11,11 @@ import numpy as np
 from torch import Tensor
 
 from uwaug._support.types import Array
-from uwaug.fitting.data import Places
+from uwaug.fitting.data import Geometry, Places
 from uwaug.fitting.model import COLOURS, NORMAL, VISIBLE_LIGHT, Model, Quantity, report_slopes
-from uwaug.fitting.result import Parameter, Remainder
+from uwaug.fitting.result import Fit, Parameter, Remainder
 from uwaug.fitting.solve import M, Objective, Solution, influence
+from uwaug.formation.setting import Setting
 from uwaug.optics.curves import FARTHEST
 
 # Standard error, as a share of the number at either end of its interval, above which the number is
@@ -99,8 +100,9 @@ def covariance_of(
     """Covariance of all numbers of a fit, over blocks of its pictures; `lost` (Bx3xHxW, linear
     light) are errors of their files, which follow the scene, so that no block tells them.
     """
-    residual = objective.residual(solution.theta)
-    jacobian, pixels = objective.jacobian(solution.theta), objective.pixels
+    from scipy.linalg import block_diag
+
+    pixels, residual = objective.pixels, objective.residual(solution.theta)
     weights = pixels.weights[0, :, 0].numpy()
     errors = [np.full_like(weights, objective.model.offset)]
     for light in lost:
@@ -108,7 +110,14 @@ def covariance_of(
     # each error of each colour by itself
     columns = [(error * weights)[..., None] * np.eye(3)[:, None] for error in errors]
     offsets = np.concatenate(columns, 2).reshape(3 * weights.shape[1], -1)
-    return sandwich(jacobian, *influence(residual), pixels.blocks_of_values, offsets)
+    score, curvature = influence(residual)
+    # numbers whose spread is known are off by it, or by more where the fit finds so: of few
+    # numbers, what it finds would be too little
+    own = np.abs(residual[len(offsets) :]).clip(min=1)
+    score[len(offsets) :] = 0
+    blocks = np.pad(pixels.blocks_of_values, (0, len(own)))
+    offsets = block_diag(offsets, np.diag(own))
+    return sandwich(objective.jacobian(solution.theta), score, curvature, blocks, offsets)
 
 
 def parameters(
@@ -166,6 +175,29 @@ def remainder(objective: Objective[M], theta: Array) -> list[Remainder]:
     return rows
 
 
+def fit_of(
+    objective: Objective[M],
+    solution: Solution,
+    covariance: Covariance,
+    setting: Setting,
+    geometry: Geometry,
+) -> Fit:
+    """The public result: numbers, errors and residuals, and the notes that all fits share."""
+    numbers, matrix = parameters(objective.model, solution, covariance)
+    pixels = objective.pixels
+    residual = objective.model.render(solution.theta, pixels) - pixels.observed
+    return Fit(
+        model=objective.model.name,
+        parameters=numbers,
+        covariance=matrix,
+        setting=setting,
+        geometry=geometry,
+        rms=float(residual[pixels.weights > 0].square().mean().sqrt()),
+        notes=tuple(unknown(numbers)),
+        remainder=tuple(remainder(objective, solution.theta)),
+    )
+
+
 # ---- sentences
 
 
@@ -183,13 +215,18 @@ def left_over(remainder: Sequence[Remainder], design_effect: float, rms: float) 
     return [
         f"What is left is not noise: errors are {design_effect:.1f} times those of independent "
         f"pixels{example}. Numbers may be off by more, for distances, alignment, uneven light, "
-        "JPEG, or more than one rate for a colour."
+        "JPEG, more than one rate for a colour, or a haze that was added to encoded values, whose "
+        'cure is color_space="linear" (--color-space linear).'
     ]
 
 
-def straight_line(rates: Mapping[str, float], farthest: float) -> list[str]:
-    """The sentence, if any, on colours whose veil, of rate G (1/m), is straight to the end (m)."""
-    straight = [colour for colour, G in rates.items() if G * farthest < THIN_OPTICAL_DEPTH]
+def straight_line(numbers: Mapping[str, Parameter], G: Array, farthest: float) -> list[str]:
+    """The sentence, if any, on colours whose veil, of rate G (3, 1/m), is straight to the end (m)
+    and not identified.
+    """
+    endless = [x for x in COLOURS if numbers[f"veil_{x}"].value is None]
+    rates = dict(zip(COLOURS, G.tolist(), strict=True))
+    straight = [x for x in endless if rates[x] * farthest < THIN_OPTICAL_DEPTH]
     if not straight:
         return []
     return [

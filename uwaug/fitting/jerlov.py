@@ -13,12 +13,12 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.threads import one_thread
 from uwaug._support.types import Array, ColorSpace
-from uwaug.fitting.api import Progress, checked_options
+from uwaug.fitting.api import checked_options
 from uwaug.fitting.choose import FittedModel, block_losses, result_of
 from uwaug.fitting.data import Geometry, Pictures, Pixels
 from uwaug.fitting.model import COLOURS, MAX_GAIN, MAX_OPTICAL_DEPTH, Bounds, Model, Quantity
 from uwaug.fitting.result import Fit
-from uwaug.fitting.solve import Objective, loss, reweighed, roughly_weighed, solve
+from uwaug.fitting.solve import Objective, loss, reweighed, solve
 from uwaug.formation.setting import Setting
 from uwaug.optics.camera import Camera, load_camera
 from uwaug.optics.jerlov import JERLOV_TYPES
@@ -121,12 +121,8 @@ class TypeModel(Model):
         ]
 
     def report(self, theta: Array) -> Array:
-        numbers = self.numbers(theta) | self.shown(theta)
+        numbers = {"visibility": self.water_of(theta).visibility(), **self.numbers(theta)}
         return np.array([numbers[quantity.name] for quantity in self.quantities])
-
-    def shown(self, theta: Array) -> dict[str, float]:
-        depth = self.numbers(theta)["vertical_depth"]
-        return {"visibility": self.water_of(theta).visibility(), "vertical_depth": depth}
 
 
 def fit_water(
@@ -146,7 +142,7 @@ def fit_water(
     jpeg: int | None = None,
     pixels: int = 5000,
     seed: int = 0,
-    progress: bool | Progress = True,
+    progress: bool = True,
 ) -> Fit:
     """Find the Jerlov type of a scene's water, its contents and its vertical depth.
 
@@ -183,7 +179,7 @@ def fit_water(
         >>> uwaug.fitting.fit_water(clean, observed, z, pixels=500, progress=False).model
         '5C'
     """
-    say = checked_options(pixels, seed, progress)
+    say = checked_options(pixels, seed, progress=progress)
     camera = load_camera(camera)
     checks.one_of("balance", balance, _GAINS)
     checks.one_of("surfaces", surfaces, (*get_args(Surfaces), "auto"))
@@ -206,7 +202,7 @@ def fit_water(
         say("blurring the clean picture")
         widest = law.scale * _MOST_LENGTHS**law.exponent * law.law.pixels(geometry.size, view)
         widest = min(widest, _WIDEST_SIDES * max(geometry.size))
-        sample = roughly_weighed(pictures.sample([law.shape], int(pixels), seed, widest))
+        sample = pictures.sample([law.shape], int(pixels), seed, widest)
         subset = sample.subsample(_START_PIXELS, seed)
         scouts = []
         for model in models:
@@ -228,15 +224,17 @@ def fit_water(
         medium = model.medium(theta, _RESULT_TOLERANCE)
         setting = Setting(medium, view=view, color_space=color_space)
         result = result_of(winner, candidates, setting, pictures)
+    water = model.water_of(theta)
     return replace(
         result,
         model=model.water.name if result.adequate else "no Jerlov type",
-        notes=(*_notes(result, model), *result.notes),
-        water=model.water_of(theta),
+        notes=(*_notes(result, model, water.visibility()), *result.notes),
+        water=water,
     )
 
 
-def _notes(result: Fit, model: TypeModel) -> list[str]:
+def _notes(result: Fit, model: TypeModel, metres: float) -> list[str]:
+    """Sentences on a type, or on none in a water in which one sees so far."""
     degrees = model.view.angle(model.geometry.size[1])
     residual = (
         f"The residual is {result.rms:.2g} RMS of linear light. Camera, g, μ, {model.surfaces} "
@@ -252,7 +250,6 @@ def _notes(result: Fit, model: TypeModel) -> list[str]:
                 f"It has {times:.2g} times the type's contents, which is hardly that type."
             )
         return notes
-    metres = result.candidates[0].values["visibility"]
     none = (
         "No Jerlov type explains the picture. In what comes nearest one sees about "
         f"{metres:.2g} m far; `uwaug.fit` (--model auto) tells rates of each colour without a type."

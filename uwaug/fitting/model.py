@@ -55,6 +55,11 @@ class Model(Protocol):
     offset: float = 0.0  # linear light by which all pixels of a colour may be off alike
 
     @property
+    def spreads(self) -> Array:
+        """Standard deviations about 0 of the last numbers of θ, for what is known of them."""
+        return np.empty(0)
+
+    @property
     def name(self) -> str: ...
 
     @property
@@ -70,9 +75,6 @@ class Model(Protocol):
     def hidden(self, theta: Array) -> Sequence[str]:
         """Names of quantities that pictures of these numbers do not tell, whatever their errors."""
         return ()
-
-    def shown(self, theta: Array) -> Mapping[str, float]:
-        return {}
 
     def slopes(self, theta: Array, pixels: Pixels) -> Array:
         """Derivatives of the 3·N values by θ (3·N x numbers), by differences. A number of one
@@ -155,55 +157,39 @@ class CoefficientModel(Model):
     spec: ModelSpec
     geometry: Geometry
     gain: bool  # True if the light is fitted, False if it is that of the clean picture
-    fixed: Mapping[str, float]  # known numbers, by the names of `fixable`
 
     @property
     def name(self) -> str:
         return self.spec.name + self.gain * " + gain"
 
-    @property
-    def fixable(self) -> tuple[str, ...]:
-        names = (quantity.name for quantity in self.quantities)
-        return tuple(name for name in names if not name.startswith(("source", "gain")))
-
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
         reference, widest = self.geometry.reference, self.geometry.widest
         opaque, scatters = MAX_OPTICAL_DEPTH / reference, self.spec.shape is not None
-        bounds = {}
-        for colour in COLOURS:
-            # forward scatter takes no light away: beta is no less than a fixed G
-            low = self.fixed.get(f"G_{colour}", 0.0) if scatters else 0.0
-            high, begin = max(opaque, 2 * low), max(1 / reference, low)
-            bounds[f"beta_{colour}"] = Bounds(low, high, begin)
-        others = {}
+        kinds = {"beta": Bounds(0.0, opaque, 1 / reference)}
         if self.spec.separate_veil:
-            others["share"] = Bounds(0.0, 1.0 if scatters else _MAX_G_OVER_BETA, 0.5)
-        others["source"] = Bounds(0.0, opaque, 0.2 / reference)
+            # forward scatter takes no light away
+            kinds["share"] = Bounds(0.0, 1.0 if scatters else _MAX_G_OVER_BETA, 0.5)
+        kinds["source"] = Bounds(0.0, opaque, 0.2 / reference)
         if self.gain:
-            others["light"] = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
-        bounds |= {f"{kind}_{colour}": x for kind, x in others.items() for colour in COLOURS}
+            kinds["light"] = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
+        bounds = {f"{kind}_{colour}": x for kind, x in kinds.items() for colour in COLOURS}
         if scatters:
             bounds["width"] = Bounds(0.0, widest, 0.1 * widest)
             bounds["exponent"] = Bounds(*EXPONENTS, 1.0)
-        kind_in_theta = {"G": "share", "veil": "source"}
-        for name in self.fixed:
-            kind, *suffix = name.split("_")
-            del bounds["_".join((kind_in_theta.get(kind, kind), *suffix))]
         return bounds
 
     def coefficients(self, theta: Array) -> Coefficients:
-        values = dict(self.fixed) | dict(zip(self.bounds, theta.tolist(), strict=True))
+        values = dict(zip(self.bounds, theta.tolist(), strict=True))
 
-        def three(kind: str, defaults: float | Array) -> Array:
-            rows = zip(COLOURS, np.broadcast_to(defaults, 3).tolist(), strict=True)
-            return np.array([values.get(f"{kind}_{colour}", value) for colour, value in rows])
+        def three(kind: str, default: float = 0.0) -> Array:
+            return np.array([values.get(f"{kind}_{colour}", default) for colour in COLOURS])
 
-        beta = three("beta", 0.0)
-        G = three("G", three("share", 1.0) * beta)
-        source, light = three("source", G * three("veil", 0.0)), np.exp(three("light", 0.0))
+        beta, light = three("beta"), np.exp(three("light"))
         width, exponent = values.get("width", 0.0), values.get("exponent", 1.0)
-        return Coefficients(beta, G, source, light, width, exponent)
+        return Coefficients(
+            beta, three("share", 1.0) * beta, three("source"), light, width, exponent
+        )
 
     def start(self, numbers: Mapping[str, float]) -> Array:
         """θ of numbers by the names of `bounds`; the others are where a fit may begin."""

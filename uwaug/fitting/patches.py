@@ -19,19 +19,10 @@ from uwaug._support.atomic import read_text
 from uwaug._support.threads import one_thread
 from uwaug._support.types import Array, ColorSpace
 from uwaug.fitting.data import FAR_QUANTILE, MIN_SPAN, NEAR_QUANTILE, Geometry, Pixels, Places
-from uwaug.fitting.errors import Covariance, parameters, remainder, sandwich, straight_line, unknown
-from uwaug.fitting.model import COLOURS, MAX_GAIN, MODELS, Bounds, CoefficientModel, Model, Quantity
+from uwaug.fitting.errors import covariance_of, fit_of, straight_line
+from uwaug.fitting.model import COLOURS, MODELS, Bounds, CoefficientModel, Model, Quantity
 from uwaug.fitting.result import Fit
-from uwaug.fitting.solve import (
-    MAD,
-    MIN_NOISE,
-    Objective,
-    Solution,
-    guess,
-    influence,
-    logit_prefit,
-    solve,
-)
+from uwaug.fitting.solve import MAD, MIN_NOISE, Objective, Solution, guess, solve
 from uwaug.formation.colour import decoded, require_values
 from uwaug.formation.development import Development
 from uwaug.formation.setting import Setting
@@ -39,11 +30,10 @@ from uwaug.formation.setting import Setting
 _MIN_PATCHES = 12  # values of each colour that a fit needs: four of each of its numbers
 _UNEVEN = 0.3  # default standard deviation of the logarithm of the light on a chart
 _MAX_SPREAD = 2.0  # largest standard deviation of a logarithm
-_MAX_LOG = 5.0  # of a chart's light and distance: it is far off
+_MAX_LOG = 9.0  # of exposures, and of a chart's light and distance: it is far off
 _ROUGH_SHARE, _ROUGH_FLOOR = 0.05, 1e-3  # noise of a first fit: a share of the light, and a least
 _ROUNDS = 3  # of noise that is learnt from residuals
 _UNEVEN_LIGHT = 1.5  # ratio of the lights on charts that is worth a note
-_SURE_ERRORS = 4.0  # standard errors between two rates that are worth a note
 _MAX_CAST = 0.05  # difference of the median errors of two colours of a picture
 _CHART_DEPTH = 1.5  # ratio of the distances of the patches of one chart, which may lean
 _BRIGHTEST = (0.01, 2.0)  # values that may be the largest of all
@@ -169,28 +159,19 @@ def fit_patches(
     spreads = {kind: spread for kind, spread in spreads.items() if spread > 0}
     # a medium that is made in inference mode could not be trained
     with one_thread(), torch.inference_mode(False), torch.no_grad():
-        water = CoefficientModel(MODELS[model], geometry, True, {})
+        water = CoefficientModel(MODELS[model], geometry, True)
         patch_model = _PatchModel(water, pictures, charts, picture_of, chart_of, spreads)
-        objective, solution = _solved(_WithSpreads(patch_model, pixels))
-        theta, pixels = solution.theta, objective.pixels
-        numbers, matrix = parameters(patch_model, solution, _covariance(objective, theta))
+        objective, solution = _solved(Objective(patch_model, pixels))
+        theta, covariance = solution.theta, covariance_of(objective, solution)
         coefficients = water.coefficients(theta[: len(water.bounds)])
-        medium, rest = water.medium(coefficients), remainder(objective, theta)
-        error = patch_model.render(theta, pixels) - pixels.observed
-        notes = _notes(patch_model, theta, error / pixels.observed)
-        if model == "haze":
-            notes += _rates_apart(objective, theta)
-    rates = dict(zip(COLOURS, coefficients.G.tolist(), strict=True))
-    return Fit(
-        model=model,
-        parameters=numbers,
-        covariance=matrix,
-        setting=Setting(medium, development=Development(metered=True)),
-        geometry=geometry,
-        rms=float(error[pixels.weights > 0].square().mean().sqrt()),
-        notes=(*notes, *straight_line(rates, geometry.farthest), *unknown(numbers)),
-        remainder=tuple(rest),
-    )
+        setting = Setting(water.medium(coefficients), development=Development(metered=True))
+        fit = fit_of(objective, solution, covariance, setting, geometry)
+        light, measured = patch_model.render(theta, pixels), objective.pixels.observed
+        measured = measured.where(pixels.weights > 0, torch.nan)
+        notes = _notes(patch_model, theta, light / measured - 1)
+        notes += straight_line(fit.parameters, coefficients.G, geometry.farthest)
+    seen = z, measured[0, :, 0].numpy(), light[0, :, 0].numpy()
+    return replace(fit, notes=(*notes, *fit.notes), patches=seen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +185,11 @@ class _PatchModel(Model):
     charts: Sequence[str]
     picture_of: Places  # (N): number of the picture of each patch
     chart_of: Places  # (N): number of its chart
-    spreads: dict[str, float]  # standard deviation of the logarithms of charts, by kind
+    spread_of: dict[str, float]  # standard deviation of the logarithms of charts, by kind
+
+    @property
+    def spreads(self) -> Array:
+        return np.repeat([*self.spread_of.values()], len(self.charts))
 
     @property
     def name(self) -> str:
@@ -212,20 +197,18 @@ class _PatchModel(Model):
 
     @cached_property
     def bounds(self) -> dict[str, Bounds]:
-        exposure = Bounds(-math.log(MAX_GAIN), math.log(MAX_GAIN), 0.0)
-        of_chart = Bounds(-_MAX_LOG, _MAX_LOG, 0.0)
-        exposures = {f"exposure {i}": exposure for i in range(1, len(self.pictures))}
-        rows = [(kind, i) for kind in self.spreads for i in range(len(self.charts))]
-        return self.water.bounds | exposures | {f"{kind} {i}": of_chart for kind, i in rows}
+        names = [f"exposure {i}" for i in range(1, len(self.pictures))]
+        names += [f"{kind} {i}" for kind in self.spread_of for i in range(len(self.charts))]
+        return self.water.bounds | dict.fromkeys(names, Bounds(-_MAX_LOG, _MAX_LOG, 0.0))
 
     def factors(self, theta: Array) -> dict[str, Array]:
         """Exposure of each picture; light and factor on the distance of each chart."""
         logs = theta[len(self.water.bounds) :]
         exposures, logs = np.split(logs, [len(self.pictures) - 1])
-        kinds = np.exp(logs).reshape(len(self.spreads), len(self.charts))
+        kinds = np.exp(logs).reshape(len(self.spread_of), len(self.charts))
         ones = dict.fromkeys(("light", "distance"), np.ones(len(self.charts)))
         exposures = np.exp(np.concatenate([[0.0], exposures]))
-        return {"exposure": exposures, **ones, **dict(zip(self.spreads, kinds, strict=True))}
+        return {"exposure": exposures, **ones, **dict(zip(self.spread_of, kinds, strict=True))}
 
     def render(self, theta: Array, pixels: Pixels) -> Tensor:
         factors = self.factors(theta)
@@ -239,49 +222,14 @@ class _PatchModel(Model):
         names = {"exposure": self.pictures, "light": self.charts, "distance": self.charts}
         return self.water.quantities + [
             Quantity(f"{kind}_{name}", "1", 0.02, f"{kind} {i}")
-            for kind in ("exposure", *self.spreads)
+            for kind in ("exposure", *self.spread_of)
             for i, name in enumerate(names[kind])
         ]
 
     def report(self, theta: Array) -> Array:
         factors = self.factors(theta)
         of_water = self.water.report(theta[: len(self.water.bounds)])
-        return np.hstack([of_water, *(factors[kind] for kind in ("exposure", *self.spreads))])
-
-
-class _WithSpreads(Objective[_PatchModel]):
-    """Residuals of the patches, and numbers of charts in standard deviations of their spread."""
-
-    @cached_property
-    def own(self) -> Array:
-        """Derivatives of the residuals of the numbers of charts, the last of θ."""
-        model = self.model
-        rates = np.repeat([1 / spread for spread in model.spreads.values()], len(model.charts))
-        return np.pad(np.diag(rates), ((0, 0), (len(model.bounds) - len(rates), 0)))
-
-    def residual(self, theta: Array) -> Array:
-        return np.concatenate([super().residual(theta), self.own @ theta])
-
-    def jacobian(self, theta: Array) -> Array:
-        return np.concatenate([super().jacobian(theta), self.own])
-
-
-def _covariance(objective: _WithSpreads, theta: Array) -> Covariance:
-    """Covariance over charts, whose light and distance are off by their spread, or by more where
-    the fit finds so: of a few charts, what it finds would be too little.
-    """
-    residual, blocks = objective.residual(theta), objective.pixels.blocks_of_values
-    score, curvature = influence(residual)
-    count = len(blocks)
-    score[count:] = 0
-    offsets = np.diag(np.abs(residual[count:]).clip(min=1))
-    return sandwich(
-        objective.jacobian(theta),
-        score,
-        curvature,
-        np.pad(blocks, (0, len(offsets))),
-        np.pad(offsets, ((count, 0), (0, 0))),
-    )
+        return np.hstack([of_water, *(factors[kind] for kind in ("exposure", *self.spread_of))])
 
 
 def _numbered(names: Sequence[str]) -> tuple[list[str], Places]:
@@ -292,15 +240,15 @@ def _numbered(names: Sequence[str]) -> tuple[list[str], Places]:
 
 def _pixels(patches: Sequence[Patch], chart_of: Places, color_space: ColorSpace) -> Pixels:
     """Patches as pixels whose blocks are charts."""
-    z = torch.tensor([patch.distance for patch in patches], dtype=torch.float64)
-    air, water = (
-        torch.tensor(values, dtype=torch.float64).reshape(-1, 3).T.reshape(1, 3, 1, -1)
-        for values in ([patch.air for patch in patches], [patch.water for patch in patches])
-    )
+    z = torch.tensor([patch.distance for patch in patches] or [0.0], dtype=torch.float64)
     nearest, farthest = float(z.min()), float(z.max())
     if not 0 < nearest <= farthest - MIN_SPAN * float(z.median()) or farthest > _FARTHEST:
         got = f"{nearest:g} to {farthest:g}"
         raise ValueError(f"patches: distance must be several, 0…{_FARTHEST:g} m, got {got}")
+    air, water = (
+        torch.tensor(values, dtype=torch.float64).reshape(-1, 3).T.reshape(1, 3, 1, -1)
+        for values in ([patch.air for patch in patches], [patch.water for patch in patches])
+    )
     # white is clipped
     is_used = (water > 0) & (water < 1)
     water = torch.where(water.isnan(), 0.0, water)
@@ -324,13 +272,13 @@ def _pixels(patches: Sequence[Patch], chart_of: Places, color_space: ColorSpace)
     )
 
 
-def _solved(objective: _WithSpreads) -> tuple[_WithSpreads, Solution]:
+def _solved(objective: Objective[_PatchModel]) -> tuple[Objective[_PatchModel], Solution]:
     """The least cost, with pixels weighed by a noise that the residuals tell: a share of the light
     for each colour.
     """
     model, pixels = objective.model, objective.pixels
     water = Objective(model.water, pixels)
-    theta = logit_prefit(water, model.water.start(guess(water)))
+    theta = model.water.start(guess(water))
     solution = solve(objective, np.pad(theta, (0, len(model.bounds) - len(theta))))
     is_used = pixels.weights > 0
     # numbers of charts and pictures take a part of the residuals
@@ -342,30 +290,14 @@ def _solved(objective: _WithSpreads) -> tuple[_WithSpreads, Solution]:
         medians = [float(share[0, c][is_used[0, c]].median()) for c in range(3)]
         spread = MAD * torch.tensor(medians).reshape(1, 3, 1, 1) / math.sqrt(freedom)
         weights = is_used / (spread * light).clamp(min=MIN_NOISE)
-        objective = _WithSpreads(model, replace(pixels, weights=weights))
+        objective = Objective(model, replace(pixels, weights=weights))
         solution = solve(objective, solution.theta)
     return objective, solution
 
 
-def _rates_apart(objective: _WithSpreads, theta: Array) -> list[str]:
-    """The sentence, if any, on colours whose light fades at another rate than their veil grows."""
-    water = replace(objective.model.water, spec=MODELS["veil"])
-    model = replace(objective.model, water=water)
-    numbers = dict(zip(objective.model.bounds, theta.tolist(), strict=True))
-    # from G = β
-    start = np.array([numbers.get(name, 1.0) for name in model.bounds])
-    apart = _WithSpreads(model, objective.pixels)
-    theta = solve(apart, start).theta
-    errors = np.sqrt(np.diag(_covariance(apart, theta).matrix))
-    offs = dict(zip(model.bounds, np.abs(theta - 1) > _SURE_ERRORS * errors, strict=True))
-    if not (colours := [colour for colour in COLOURS if offs[f"share_{colour}"]]):
-        return []
-    return [f"Light fades at another rate than the veil in {', '.join(colours)}: try model veil."]
-
-
 def _notes(model: _PatchModel, theta: Array, errors: Tensor) -> list[str]:
     """Sentences on a fit whose values are off by shares of themselves (1x3x1xN)."""
-    errors = torch.where(errors.isfinite(), errors, torch.nan)[0, :, 0]
+    errors = errors[0, :, 0]
     notes = [
         f"Model {model.name!r}: {model.water.spec.words}.",
         f"Half of all values are off by less than {100 * float(errors.abs().nanmedian()):.2g} %.",

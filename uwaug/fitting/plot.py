@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from uwaug._support.types import Array
 from uwaug.fitting.model import COLOURS, NORMAL, VISIBLE_LIGHT
 from uwaug.formation.colour import linear_to_srgb
 from uwaug.optics.curves import FARTHEST
@@ -44,9 +45,13 @@ def plot(fit: "Fit") -> "Figure":
     figure.suptitle(words, x=0.2 / _WIDTH_IN, ha="left", fontsize=10, color=_INK, parse_math=False)
     axes = [figure.add_subplot(rows, -(-cells // rows), i + 1) for i in range(cells)]
     axes[-1].set_title("Curves of red, green and blue", loc="left", fontsize=12, color=_INK)
-    draw_curves(axes.pop(), fit.medium, 1.25 * fit.geometry.farthest, fit.geometry.farthest)
-    if fit.remainder:
+    curves, medium, far = axes.pop(), fit.medium, fit.geometry.farthest
+    if fit.patches is not None:
+        medium = medium.brightened(1 / medium.ambient())  # the gain is that of the charts
+        _draw_patches(axes.pop(), *fit.patches)
+    elif fit.remainder:
         _draw_residuals(axes.pop(), fit)
+    draw_curves(curves, medium, 1.25 * far, far)
     if fit.pictures is not None and has_pair:
         usable = fit.pictures.usable[0]
         fitted = fit.rendered()[0].where(usable, _LEFT_OUT)
@@ -99,7 +104,19 @@ def _draw_residuals(axis: "Axes", fit: "Fit") -> None:
     _style(axis)
 
 
-def _style(axis: "Axes") -> None:
-    axis.set_xlabel("distance [m]", fontsize=10, color=_GREY)
+def _draw_patches(axis: "Axes", z: Array, measured: Array, fitted: Array) -> None:
+    """Fitted against measured light of patches (3xN each), by distance (N)."""
+    for seen, light, mark, edge, label in zip(measured, fitted, "os^", _RGB, COLOURS, strict=True):
+        points = axis.scatter(seen, light, s=24, c=z, marker=mark, edgecolors=edge, label=label)
+    axis.axline((1, 1), slope=1, color=_GREY, linewidth=0.8, zorder=0)
+    axis.set(xscale="log", yscale="log")
+    axis.legend(frameon=False, fontsize=10)
+    axis.set_title("Fitted light of patches", loc="left", fontsize=12, color=_INK)
+    axis.figure.colorbar(points, ax=axis).set_label("distance [m]", fontsize=10, color=_GREY)
+    _style(axis, "measured")
+
+
+def _style(axis: "Axes", across: str = "distance [m]") -> None:
+    axis.set_xlabel(across, fontsize=10, color=_GREY)
     axis.tick_params(labelsize=10, colors=_GREY, length=3)
     axis.spines[["top", "right"]].set_visible(False)

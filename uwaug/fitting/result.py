@@ -2,7 +2,6 @@
 
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -78,7 +77,6 @@ class Candidate:
     behind: float  # excess of the summed loss over that of the best
     behind_error: float  # standard error of it
     chosen: bool = False  # True for the candidate of the fit
-    values: Mapping[str, float] = field(default_factory=dict)  # visibility and depth of a type, m
 
 
 @codec.plain
@@ -111,6 +109,7 @@ class Fit:
             `fit_veil`.
         water: spectra with the fitted contents, for `uwaug.RandomUnderwater`; by `fit_water` alone.
         pictures: the fitted pictures; None if the fit was read from a file.
+        patches: distances (N), measured and fitted light (3xN each) of `fit_patches`; else None.
     """
 
     model: str
@@ -125,6 +124,7 @@ class Fit:
     adequate: bool | None = None
     water: Water | None = None
     pictures: Pictures | None = field(default=None, metadata={"stored": False})
+    patches: tuple[Array, Array, Array] | None = field(default=None, metadata={"stored": False})
 
     @property
     def medium(self) -> Medium:
@@ -162,9 +162,8 @@ class Fit:
             rows = [["  model", "numbers", "error [σ]", "behind the best [σ²]", ""]]
             for x in self.candidates:
                 behind = f"{x.behind:.4g} ± {x.behind_error:.2g}"
-                values = ", ".join(f"{name} {value:.4g}" for name, value in x.values.items())
                 name = f"{'*' if x.chosen else ' '} {x.name}"
-                rows.append([name, str(x.numbers), f"{x.error:.4f}", behind, values])
+                rows.append([name, str(x.numbers), f"{x.error:.4f}", behind, ""])
             lines += _aligned(rows)
         if self.remainder:
             rows = [["observed − fitted", *COLOURS, "of linear light"]]

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
 from typing import Generic, TypeVar
 
 import numpy as np
-import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from uwaug._support.types import Array
@@ -15,15 +17,12 @@ from uwaug.fitting.model import COLOURS, MAX_GAIN, CoefficientModel, Model
 M = TypeVar("M", bound=Model)
 ROBUST = 2.0  # standard deviations of noise, from where on a residual counts less than its square
 _START_MARGIN = 1e-4  # share of a number's range between a start and the bounds
-_MAX_LOGIT = 16.0  # logarithm of the odds; e^−16 of a number's range is its end
 _BOUND_MARGIN = 1e-6  # share of a number's range, below which it is at its bound
 _MIN_CHANGE = 1e-7  # relative change of cost or numbers, below which a fit ends
 # Grid of a guess: optical depths β·z at the reference distance, and G/β.
 _OPTICAL_DEPTHS = np.geomspace(0.05, 12.0, 24)
 _G_OVER_BETA = (0.1, 0.3, 0.6, 1.0)
 _START_PIXELS = 2000  # pixels that decide between starts
-_START_SPREAD = 0.5  # random starts multiply each number by up to e^±_START_SPREAD
-_ROUGH_NOISE = 0.01  # linear light; the noise of a first fit
 MIN_NOISE = 1e-4  # linear light; no camera is better
 _LEVELS = 16  # steps of brightness, each with a spread of residuals
 MAD = 1.4826  # standard deviations in a median absolute deviation of Gaussian noise
@@ -44,22 +43,28 @@ class Objective(Generic[M]):
         low, high, _ = np.array([*self.model.bounds.values()]).T
         return low, high
 
+    @cached_property
+    def own(self) -> Array:
+        """Derivatives by θ of its last numbers, in standard deviations, where these are known."""
+        rates = np.diag(1 / self.model.spreads)
+        return np.pad(rates, ((0, 0), (len(self.model.bounds) - len(rates), 0)))
+
     def residual(self, theta: Array) -> Array:
-        """Model − observation in standard deviations of the noise (3·N)."""
+        """Model − observation in standard deviations of the noise (3·N), then `own` numbers."""
         light = self.model.render(theta, self.pixels)
-        return (self.pixels.weights * (light - self.pixels.observed)).flatten().numpy()
+        values = (self.pixels.weights * (light - self.pixels.observed)).flatten().numpy()
+        return np.concatenate([values, self.own @ theta])
 
     def jacobian(self, theta: Array) -> Array:
         weights = self.pixels.weights.flatten().numpy()
-        return weights[:, None] * self.model.slopes(theta, self.pixels)
+        return np.concatenate([weights[:, None] * self.model.slopes(theta, self.pixels), self.own])
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     theta: Array
     cost: float  # half of the summed loss
-    at_bound: Array  # −1 or 1 where a number is at its least or largest value, else 0
-    converged: bool  # True if it ended because nothing changed any more
+    at_bound: NDArray[np.bool_]  # True where a number is at its least or largest value
 
 
 def loss(residual: Array) -> Array:
@@ -92,61 +97,22 @@ def solve(objective: Objective[M], start: Array, max_steps: int = 60) -> Solutio
         gtol=_MIN_CHANGE,
     )
     # the method stays inside, if only just
-    margin = _BOUND_MARGIN * (high - low)
-    at_bound = np.where(result.x - low < margin, -1, result.active_mask)
-    at_bound = np.where(high - result.x < margin, 1, at_bound)
-    theta = np.select([at_bound < 0, at_bound > 0], [low, high], result.x)
-    cost = float(loss(objective.residual(theta)).sum() / 2)
-    return Solution(theta, cost, at_bound, result.status > 0)
-
-
-def logit_prefit(objective: Objective[M], start: Array) -> Array:
-    """Numbers near the least cost, from a start that may be far, by steps in the logit of each
-    between its bounds: a rate that overshoots to where its light is gone would not come back.
-    """
-    from scipy.optimize import least_squares
-
-    low, high = objective.bounds
-    span = high - low
-    # at an end itself, its slope would be lost
-    share = np.clip((start - low) / span, _START_MARGIN, 0.9)
-
-    def theta(logit: Array) -> Array:
-        return np.asarray(low + span / (1 + np.exp(-logit)))
-
-    def jacobian(logit: Array) -> Array:
-        share = 1 / (1 + np.exp(-logit))
-        return objective.jacobian(theta(logit)) * (span * share * (1 - share))
-
-    result = least_squares(
-        lambda logit: objective.residual(theta(logit)),
-        np.clip(np.log(share / (1 - share)), -_MAX_LOGIT, _MAX_LOGIT),
-        jacobian,
-        bounds=(-_MAX_LOGIT - 1, _MAX_LOGIT + 1),
-        loss="soft_l1",
-        f_scale=ROBUST,
-        max_nfev=40,
-        ftol=1e-5,
-        xtol=1e-5,
-        gtol=1e-5,
-    )
-    return theta(result.x)
+    ends = np.minimum(result.x - low, high - result.x) < _BOUND_MARGIN * (high - low)
+    theta = np.where(ends, np.where(result.x - low < high - result.x, low, high), result.x)
+    return Solution(theta, float(loss(objective.residual(theta)).sum() / 2), ends)
 
 
 def multistart(
     objective: Objective[CoefficientModel], hints: Sequence[Mapping[str, float]] = (), seed: int = 0
 ) -> Solution:
-    """The least cost from several starts, of which a few pixels decide: a guess, the numbers that
-    other fits have found (`hints`, θ by name), and a random place around the guess.
+    """The least cost from several starts, of which a few pixels decide: a guess, and the numbers
+    that other fits have found (`hints`, θ by name).
     """
-    model, rng = objective.model, np.random.default_rng(seed)
-    subset = replace(objective, pixels=objective.pixels.subsample(_START_PIXELS, rng))
+    model = objective.model
+    subset = replace(objective, pixels=objective.pixels.subsample(_START_PIXELS, seed))
     numbers = guess(subset)
     starts = [model.start({**numbers, **hint}) for hint in ({}, *hints)]
-    factor = np.exp(rng.uniform(-_START_SPREAD, _START_SPREAD, len(starts[0])))
-    starts.append(np.clip(starts[0] * factor, *objective.bounds))
-    ends = [solve(subset, logit_prefit(subset, theta), max_steps=20) for theta in starts]
-    best = min(ends, key=lambda end: end.cost)
+    best = min((solve(subset, x, max_steps=20) for x in starts), key=lambda end: end.cost)
     # a colour taken for opaque, a veil and no scene, would not come back; 1 start in 9 ended so
     numbers = guess(subset, dict(zip(model.bounds, best.theta.tolist(), strict=True)))
     second = solve(subset, model.start(numbers), max_steps=20)
@@ -160,51 +126,33 @@ def guess(
     """The best of a grid of β and G/β for each colour, whose light and veil follow by linear least
     squares; the width law is that of `numbers` (θ by name).
     """
+    from scipy.optimize import nnls
+
     model = objective.model
     values = {name: bound.begin for name, bound in model.bounds.items()} | dict(numbers or {})
     law = model.coefficients(np.array([values[name] for name in model.bounds]))
     pixels, reference = objective.pixels.subsample(_START_PIXELS // 2, 0), model.geometry.reference
-    trials, ones = [], np.ones(3)
-    for share in _G_OVER_BETA if model.spec.separate_veil else (1.0,):
-        for beta in (_OPTICAL_DEPTHS / reference).tolist():
-            c = law._replace(beta=beta * ones, G=share * beta * ones, source=0 * ones, light=ones)
-            scene = model.picture(c, pixels)
-            growth = model.picture(c._replace(light=0 * ones, source=ones), pixels)
-            error, light, source = _light_and_source(scene, growth, pixels, gain=model.gain)
-            trials.append((error, beta, share, light, source))
-    for i, colour in enumerate(COLOURS):
-        _, beta, share, light, source = min(trials, key=lambda row: float(row[0][i]))
-        best = {"beta": beta, "share": share, "light": np.log(light[i]), "source": source[i]}
-        values |= {f"{kind}_{colour}": float(value) for kind, value in best.items()}
+    observed = (pixels.weights * pixels.observed)[0, :, 0].numpy()
+    trials: dict[str, list[tuple[float, ...]]] = {colour: [] for colour in COLOURS}
+    shares, ones = _G_OVER_BETA if model.spec.separate_veil else (1.0,), np.ones(3)
+    for share, beta in product(shares, (_OPTICAL_DEPTHS / reference).tolist()):
+        c = law._replace(beta=beta * ones, G=share * beta * ones, source=0 * ones, light=ones)
+        both = [model.picture(x, pixels) for x in (c, c._replace(light=0 * ones, source=ones))]
+        scene, growth = ((pixels.weights * x)[0, :, 0].numpy() for x in both)
+        for i, colour in enumerate(COLOURS):
+            if model.gain:
+                (light, source), error = nnls(np.stack([scene[i], growth[i]], 1), observed[i])
+            else:
+                light, ((source,), error) = 1, nnls(growth[i, :, None], observed[i] - scene[i])
+            light = np.log(np.clip(light, 1 / MAX_GAIN, MAX_GAIN))
+            trials[colour].append((error, beta, share, light, source))
+    for colour in COLOURS:
+        numbers_of = zip(("beta", "share", "light", "source"), min(trials[colour])[1:], strict=True)
+        values |= {f"{kind}_{colour}": float(value) for kind, value in numbers_of}
     return values
 
 
-def _light_and_source(
-    scene: Tensor, growth: Tensor, pixels: Pixels, *, gain: bool
-) -> tuple[Array, Array, Array]:
-    """Squared error, light and source of each colour (3 each), by linear least squares."""
-    weights = pixels.weights**2
-
-    def product(a: Tensor, b: Tensor) -> Array:
-        return (weights * a * b).sum((0, 2, 3)).numpy()
-
-    ss, sg, gg = product(scene, scene), product(scene, growth), product(growth, growth)
-    sy, gy = product(scene, pixels.observed), product(growth, pixels.observed)
-    light = np.ones(3)
-    if gain:
-        light = (gg * sy - sg * gy) / np.maximum(ss * gg - sg**2, 1e-12 * ss * gg + 1e-300)
-        light = light.clip(1 / MAX_GAIN, MAX_GAIN)
-    source = ((gy - light * sg) / np.maximum(gg, 1e-300)).clip(min=0.0)
-    by_light, by_source = (torch.from_numpy(x).reshape(1, 3, 1, 1) for x in (light, source))
-    residual = by_light * scene + by_source * growth - pixels.observed
-    return product(residual, residual), light, source
-
-
 # ---- noise
-
-
-def roughly_weighed(pixels: Pixels) -> Pixels:
-    return replace(pixels, weights=pixels.weights / _ROUGH_NOISE)
 
 
 def reweighed(objective: Objective[M], theta: Array, clips: bool) -> tuple[Pixels, Array]:

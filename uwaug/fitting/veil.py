@@ -91,7 +91,7 @@ def fit_veil(
     nearest, farthest = np.quantile(z, (0.05, 0.95)).tolist()
     if (z >= FARTHEST).mean() > 0.01:
         farthest = np.inf
-    model = CoefficientModel(MODELS["haze"], pictures.geometry, False, {})
+    model = CoefficientModel(MODELS["haze"], pictures.geometry, False)
     # a medium that is made in inference mode could not be trained
     with one_thread(), torch.inference_mode(False), torch.no_grad():
         objective = _OneSided(model, dark)
@@ -134,7 +134,7 @@ def fit_veil(
             f"In {', '.join(full_grown)} what is darkest is as light at {nearest:.3g} m as farther "
             "away: the water is very turbid, or nothing in view is black and V(0) is too high."
         )
-    if straight := straight_line(G, farthest):
+    if straight := straight_line(numbers, c.G, farthest):
         notes += [f"{straight[0]} Open water in view (distance inf) would tell its end."]
     if untold:
         cure = "Dark surfaces nearer and farther, or black ones and darkest=0 (--darkest 0),"
