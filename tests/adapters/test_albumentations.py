@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from uwaug import KeepVisible, RandomUnderwater, RandomWater
+from uwaug import KeepVisible, RandomDevelopment, RandomUnderwater, RandomWater
 from uwaug.distance import Plane
 
 A = pytest.importorskip("albumentations")
 
 from uwaug.adapters.albumentations import AlbumentationsUnderwater  # noqa: E402
 
-AUGMENT = RandomUnderwater(RandomWater(["II", "7C"], contrast=(0.2, 0.4)))
+NOISELESS = RandomDevelopment(noise=None)  # alike in all frames of a film
+AUGMENT = RandomUnderwater(RandomWater(["II", "7C"], contrast=(0.2, 0.4)), development=NOISELESS)
 TARGETS = {"distance": "mask"}
 H, W = 24, 33
 MASK = np.zeros((H, W), np.uint8)  # AlbumentationsX moves a map only beside a mask

@@ -16,7 +16,7 @@ from uwaug.optics.constituents import UNITS
 from uwaug.transforms.appearance import Nearness
 
 _PHOTOGRAPHED = Path(__file__).with_name("conditions.csv")
-BETWEEN = 0.25
+BETWEEN = 0.4
 """Share of the way to another condition of photographs; .1 leaves more of what was left out."""
 
 OF_WATER = ("clearness", "vertical_depth", "mu", "color_matrix")

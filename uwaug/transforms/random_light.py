@@ -59,7 +59,7 @@ class RandomLight(Noun):
         TypeError, ValueError: if a value does not suit, or leaves its domain.
     """
 
-    share: float = 1 / 20
+    share: float = 1 / 10
     rigs: str | tuple[str, ...] = tuple(RIGS)
     daylight: Range = number((0.05, 0.5), 0.0)
     power: Range = number((-1.0, 1.0), -10.0, 10.0)
