@@ -263,7 +263,8 @@ class RandomUnderwater(SampleTransform):
         Returns:
             A record with a sample for each of these frames. Set at each how far, in m, field and
             snow have drifted to the right ("moved"), and the camera has moved to the right, down
-            and forward ("motion"); all are 0.
+            and forward ("motion"); all are 0. A sample that serves several frames gives them the
+            same noise: set the "seed" of its "noise" anew.
         """
         frames = pictures_of(image)
         if len(frames) > 1 and isinstance(self.distance, MadeUp):
