@@ -28,7 +28,7 @@ _LOGARITHMIC = {*UNITS, "full_well"}
 
 
 @codec.plain
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, repr=False)
 class Conditions:
     """Conditions of photographs: each picture takes one, all of its numbers together.
 
@@ -48,7 +48,7 @@ class Conditions:
     weights: Sequence[float] | None = None
     between: float = 0.0
     binding: bool = True
-    nearness: Nearness | None = option(default=None, metadata={"stored": False})
+    nearness: Nearness | None = option(default=None, compare=False, metadata={"stored": False})
 
     def __post_init__(self) -> None:
         if not self.rows:

@@ -180,6 +180,8 @@ class RandomUnderwater(SampleTransform):
         nouns = {name: noun for name, noun in self._nouns.items() if name != "distance"}
         names = [f"{name}.{option}" for name, noun in nouns.items() for option in noun.random()]
         names += ["p"] * (self.p < 1) + ["water.contrast"] * (self.water.contrast is not None)
+        if self.conditions and self.conditions.binding and len(self.conditions.rows) > 1:
+            names.append("conditions")
         if names:
             got = ", ".join(dict.fromkeys(names))
             raise ValueError(f"a module makes the same of all pictures, but {got} differ: fix them")
