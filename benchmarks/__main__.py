@@ -17,7 +17,7 @@ PARTS = {
     "surfaces": "accuracy",
     "direction": "accuracy",
     "fitting_recovery": "accuracy",
-    "draws": "accuracy",
+    "conditions": "accuracy",
     "like": "accuracy",
     "training": "evidence",
     "throughput": "speed",

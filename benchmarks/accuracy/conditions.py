@@ -9,7 +9,7 @@ the form of `results/photographs.csv`, whose second column names the camera), ar
 
     p(photograph) = Σ weight_c · mean of exp(−d²/2h²) over the pictures on which c was tried
 
-with d the distance in twelve numbers, in standard deviations of photographs. Most weights become 0
+with d the distance in `NUMBERS`, in standard deviations of photographs. Most weights become 0
 (the nonparametric estimate of a mixture by maximum likelihood, Laird 1978, by expectation and
 maximisation). A picture's own share in its numbers is in the mean, so weights are of conditions
 that look like photographs on *any* scene.
@@ -28,6 +28,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
+from torch import Tensor
 
 import uwaug
 from benchmarks.accuracy.draws import draws, sources
@@ -41,12 +42,13 @@ from benchmarks.accuracy.photographs import (
 )
 from benchmarks.evidence.arms import by_hand
 from benchmarks.harness import save
-from uwaug.transforms.appearance import SPREADS, WATER_FEATURES
+from uwaug.transforms.appearance import WATER_FEATURES
 from uwaug.transforms.conditions import BETWEEN, COLUMNS, Conditions
 from uwaug.transforms.like import Search
 
 TRIED, PICTURES = 4400, 6  # conditions, and pictures on which each is tried
-BANDWIDTH = 0.44  # h: .3 of the distance of photographs to their fifth neighbour
+BANDWIDTH = 0.3  # h, in the median distance of photographs to their fifth neighbour
+NUMBERS = (*WATER_FEATURES, "L_p5", "L_p95", "rms", "loc6", "loc18")
 STEPS = 300
 LEAST_WEIGHT = 1e-4
 CAMERA = 6.0  # photographs for which all frames of a camera stand
@@ -76,25 +78,33 @@ def load_cameras(path: Path, names: list[str]) -> Reference:
     return Reference(numbers, np.array([line[1] for line in lines]))
 
 
-def likelihoods(search: Search, photographs: Numbers) -> Numbers:
-    """Of each photograph (N, by its twelve numbers), in each condition that was tried (NxC)."""
-    tried = np.array([condition.features for condition in search.pool]) / SPREADS
-    goals = photographs / SPREADS
-    of_pictures = [cdist(goals, tried[:, i], "sqeuclidean") for i in range(PICTURES)]
-    likely: Numbers = np.mean([np.exp(-d / (2 * BANDWIDTH**2)) for d in of_pictures], 0)
+def numbers_at_128(picture: Tensor) -> Numbers:
+    """`NUMBERS` of a picture (3xHxW, 0…1) with a short side of 128 px."""
+    numbers = numbers_of((picture * 255).round().byte().permute(1, 2, 0).numpy(), 128)
+    return np.array([numbers[name] for name in NUMBERS])
+
+
+def likelihoods(search: Search, wanted: Numbers, photographs: Numbers) -> Numbers:
+    """Of each picture that is wanted (N, by `NUMBERS`), in each condition that was tried (NxC)."""
+    spreads = photographs.std(0)
+    apart = np.sort(cdist(*[photographs / spreads] * 2), 1)[:, 5]
+    spreads = spreads * BANDWIDTH * np.median(apart) * np.sqrt(2)
+    tried = np.array([condition.features for condition in search.pool]) / spreads
+    of_pictures = [cdist(wanted / spreads, tried[:, i], "sqeuclidean") for i in range(PICTURES)]
+    likely: Numbers = np.mean([np.exp(-squares) for squares in of_pictures], 0)
     return likely
 
 
 def found(search: Search, photographs: Reference, cameras: Reference | None) -> Conditions:
     """The conditions in which photographs and frames are most likely."""
     names = load_photographs()[1]
-    water = [names.index(name) for name in WATER_FEATURES]
+    used = [names.index(name) for name in NUMBERS]
     numbers, counts = photographs.numbers, np.ones(len(photographs.numbers))
     if cameras:
         numbers = np.concatenate([numbers, cameras.numbers])
         _, camera, frames = np.unique(cameras.groups, return_inverse=True, return_counts=True)
         counts = np.concatenate([counts, CAMERA / frames[camera]])
-    likely = likelihoods(search, numbers[:, water])
+    likely = likelihoods(search, numbers[:, used], load_photographs()[0][:, used])
     weights = np.full(len(search.pool), 1 / len(search.pool))
     for _ in range(STEPS):
         weights *= (counts / (likely @ weights + 1e-12)) @ likely / counts.sum()
@@ -135,7 +145,7 @@ def told(
     return result
 
 
-def drawn_by_hand(folder: Path) -> Iterator[Picture]:
+def drawn_by_hand(folder: Path | None) -> Iterator[Picture]:
     """Draws of the rival in ten lines, see `benchmarks.evidence.arms`."""
     torch.manual_seed(9)
     for image, distance in sources(folder):
@@ -151,7 +161,12 @@ def line_of(weight: float, condition: Any) -> list[str]:
     return [f"{(numbers | {'weight': weight})[name]:.3g}" for name in COLUMNS]
 
 
-def main(folder: Path, cameras_csv: Path | None, path: Path | None) -> None:
+def main(
+    quick: bool = False,
+    folder: Path | None = None,
+    cameras_csv: Path | None = None,
+    path: Path | None = None,
+) -> None:
     """Find, tell, save, and write."""
     torch.set_num_threads(1)
     numbers, names, groups = load_photographs()
@@ -162,27 +177,30 @@ def main(folder: Path, cameras_csv: Path | None, path: Path | None) -> None:
     images, maps = zip(*(scenes[i] for i in order), strict=True)
     # with lamps tried, too, and left to `RandomLight`, cameras are reached less (.64 for .69)
     wide = uwaug.RandomUnderwater(light=uwaug.RandomLight(share=0.0), conditions=None)
-    search = Search(wide, list(images), list(maps), seed=0)
-    search.draw(TRIED, PICTURES)
+    search = Search(wide, list(images), list(maps), 0, numbers_at_128)
+    search.draw(20 if quick else TRIED, PICTURES)
     results = dict[str, Any]()
 
-    def tell(name: str, conditions: Conditions | None, *of: Any) -> None:
-        augment = uwaug.RandomUnderwater(conditions=conditions)
-        results[name] = told(draws(augment, folder, EACH, 9), *of)
+    def tell(name: str, pictures: Iterable[Picture], *of: Any) -> None:
+        results[name] = told(pictures, *of)
         print(name, results[name], flush=True)
 
+    def draws_in(conditions: Conditions | None) -> Iterator[Picture]:
+        return draws(uwaug.RandomUnderwater(conditions=conditions), folder, EACH, 9)
+
     every = photographs, cameras
-    results["by hand"] = told(drawn_by_hand(folder), *every)
-    print("by hand", results["by hand"])
-    tell("ranges alone", None, *every)
+    tell("by hand", drawn_by_hand(folder), *every)
+    tell("ranges alone", draws_in(None), *every)
     for half in (0, 1):
         learnt, left_out = (
             (photographs.half(part), cameras and cameras.half(part)) for part in (half, 1 - half)
         )
-        tell(f"half {1 - half}, left out", found(search, *learnt), *left_out)
+        tell(f"half {1 - half}, left out", draws_in(found(search, *learnt)), *left_out)
     conditions = found(search, *every)
-    tell("all", conditions, *every)
-    save("conditions", {"tried": TRIED, "conditions": len(conditions.rows), "told": results})
+    tell("all", draws_in(conditions), *every)
+    if folder and not quick:
+        counts = {"tried": TRIED, "conditions": len(conditions.rows)}
+        save("conditions", {**counts, "photographs": results})
     if path:
         lines = map(line_of, conditions.weights or (), conditions.rows)
         with path.open("w", newline="") as file:
@@ -192,8 +210,9 @@ def main(folder: Path, cameras_csv: Path | None, path: Path | None) -> None:
 if __name__ == "__main__":
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
-    parser.add_argument("--sources", type=Path, required=True)
+    parser.add_argument("--quick", action="store_true", help="a smoke test, nothing written")
+    parser.add_argument("--sources", type=Path)
     parser.add_argument("--cameras", type=Path)
     parser.add_argument("--write", type=Path)
-    arguments = parser.parse_args()
-    main(arguments.sources, arguments.cameras, arguments.write)
+    given = parser.parse_args()
+    main(given.quick, given.sources, given.cameras, given.write)

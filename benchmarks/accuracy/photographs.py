@@ -44,8 +44,10 @@ def load_photographs() -> tuple[Numbers, list[str], NDArray[Any]]:
     return numbers, head[2:], np.array([line[1] for line in lines])
 
 
-def numbers_of(picture: Picture) -> dict[str, float]:
-    """26 numbers of a picture (HxWx3, sRGB, short side 256 px), by name."""
+def numbers_of(picture: Picture, side: int = 256) -> dict[str, float]:
+    """26 numbers of a picture (HxWx3, sRGB) with a short side of so many px, by name. "loc2" and
+    "slope" hang on it.
+    """
     srgb = picture.astype(np.float32) / 255
     lab = rgb2lab(srgb)
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
@@ -53,7 +55,7 @@ def numbers_of(picture: Picture) -> dict[str, float]:
     return {
         **water_features(srgb),
         **_of_colour(srgb, lab),
-        **_of_detail(lab[..., 0], luminance),
+        **_of_detail(lab[..., 0], luminance, side // 64),
         "clip_hi": float(np.sqrt((picture.max(2) >= 253).mean())),
         "clip_lo": float(np.sqrt((picture.min(2) <= 2).mean())),
         **_of_layout(luminance),
@@ -74,21 +76,26 @@ def _of_colour(srgb: Numbers, lab: Numbers) -> dict[str, float]:
     }
 
 
-def _of_detail(L: Numbers, luminance: NDArray[np.float32]) -> dict[str, float]:
-    height, width = (size // 4 for size in luminance.shape)
+def _shrunk(x: NDArray[np.float32], times: int) -> NDArray[np.float32]:
+    height, width = (size // times for size in x.shape)
+    cut = x[: height * times, : width * times]
+    small: NDArray[np.float32] = cut.reshape(height, times, width, times).mean((1, 3))
+    return small
 
-    def quarter(x: NDArray[np.float32]) -> NDArray[np.float32]:
-        return x[: height * 4, : width * 4].reshape(height, 4, width, 4).mean((1, 3))
 
-    numbers = {}
-    square = luminance * luminance
-    small, small_square = quarter(luminance), quarter(square)
-    scales = {"loc2": (luminance, square, 2.0), "loc6": (small, small_square, 1.5)}
-    scales["loc18"] = small, small_square, 4.5
-    for name, (first, second, sigma) in scales.items():
-        mean = gaussian_filter(first, sigma)
-        variance = np.maximum(gaussian_filter(second, sigma) - mean * mean, 0)
-        numbers[name] = np.log2(np.median(np.sqrt(variance) / mean) + 0.004)
+def _local_contrast(x: NDArray[Any], square: NDArray[Any], sigma: float) -> float:
+    mean = gaussian_filter(x, sigma)
+    variance = np.maximum(gaussian_filter(square, sigma) - mean * mean, 0)
+    return float(np.log2(np.median(np.sqrt(variance) / mean) + 0.004))
+
+
+def _of_detail(L: Numbers, luminance: NDArray[np.float32], times: int) -> dict[str, float]:
+    small, small_square = (_shrunk(x, times) for x in (luminance, luminance * luminance))
+    numbers = {
+        "loc2": _local_contrast(luminance, luminance * luminance, 2.0),
+        "loc6": _local_contrast(small, small_square, 1.5),
+        "loc18": _local_contrast(small, small_square, 4.5),
+    }
     side = min(L.shape)
     top, left = ((size - side) // 2 for size in L.shape)
     middle = L[top : top + side, left : left + side]
@@ -112,22 +119,6 @@ def _of_layout(luminance: NDArray[np.float32]) -> dict[str, float]:
         "top_bottom": np.log2(luminance[:third].mean() / luminance[-third:].mean()),
         "centre_edge": np.log2(luminance[radius < 0.5].mean() / luminance[radius > 1.05].mean()),
     }
-
-
-def neon(picture: Picture) -> bool:
-    """Whether half of the pixels have a saturation (HSV) above .9."""
-    brightest, darkest = picture.max(2).astype(np.float64), picture.min(2)
-    return bool(np.median((brightest - darkest) / brightest.clip(1)) > 0.9)
-
-
-def dead(picture: Picture) -> bool:
-    """Whether the mean of a channel is below .02."""
-    return bool(picture.mean((0, 1)).min() < 0.02 * 255)
-
-
-def neutral(numbers: dict[str, float]) -> bool:
-    """Whether the mean colour of a picture, of its numbers, is nearly grey."""
-    return abs(numbers["a_mean"]) < 5 and abs(numbers["b_mean"]) < 8
 
 
 def closeness(draws: list[dict[str, float]], sets: Sequence[str] = ()) -> Numbers:

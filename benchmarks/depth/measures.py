@@ -18,6 +18,7 @@ from torch import Tensor
 
 from benchmarks.depth import pairs, people
 from uwaug import RandomUnderwater
+from uwaug._support.ranges import as_range
 from uwaug.distance import cue
 from uwaug.distance.made_up import MadeUp
 
@@ -37,7 +38,8 @@ def made_up(source: MadeUp) -> Way:
 
     def way(picture: Tensor, seed: int) -> Array:
         rng = np.random.default_rng(seed)
-        numbers = {name: float(rng.uniform(*ends)) for name, ends in source.ranges().items()}
+        ends = {name: as_range(name, value) for name, value in source.ranges().items()}
+        numbers = {name: float(rng.uniform(*pair)) for name, pair in ends.items()}
         return source.metres(None, picture, numbers)[0].double().numpy()
 
     return way

@@ -7,8 +7,8 @@ scenes a step sees follows from its number alone, so that a run can be made agai
 steps the mean of late weights is written; a run that was stopped goes on (`--resume`).
 
 With `--photographs` and `--cuts` a decoder that has learnt is tuned (`--start`, else the one in the
-package): by photographs and people as well. The one in the package was, in 3000 steps, with 4096
-scenes from the first step on, from one that had learnt from scenes alone.
+package): by photographs and people as well. The one in the package is not, as that lost on other
+sources of pictures.
 
 `--compare` trains each variant for fewer steps, and judges it.
 """

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+from benchmarks.accuracy.conditions import EACH
 from benchmarks.harness import RESULTS, ROOT, command
 from uwaug._support.atomic import written_whole
 
@@ -21,12 +22,6 @@ TRUTHS = {
     "six pictures, .924": "pictures",
 }
 
-CHANGED = (
-    "defaults",
-    "Jerlov types alone",
-    "no lamps",
-    "grey surfaces",
-)
 """The draws that stand beside photographs."""
 
 Results = dict[str, Any]
@@ -44,7 +39,7 @@ def table(head: list[str], rows: list[list[str]]) -> str:
 
 def accuracy() -> str:
     """How near the model is to what it stands for."""
-    model, planner, draws = load("model"), load("planner"), load("draws")
+    model, planner, conditions = load("model"), load("planner"), load("conditions")
     machine = model["machine"]
     on = f"{machine['processor']}, torch {machine['versions']['torch']}, one thread"
     rows = planner["rows"]
@@ -62,27 +57,26 @@ def accuracy() -> str:
         "**Light transport** (`physics`): mean RMSE of direct and forward-scattered light against "
         "Monte Carlo transport over 0.1 to 5 scattering lengths, and in six Monte Carlo pictures:",
         _transport_table(load("physics")),
-        "**Real photographs** (`draws`): 342 of seven sets, beside "
-        f"{draws['draws']} draws of each of 40 pictures in air, by 26 numbers of a picture / by "
-        "the 12 that water decides. Recall: photographs within the range of draws. Precision: "
-        "draws within that of photographs. Neon: half of the pixels have a saturation above .9, "
-        "as in 6 % of the photographs.",
-        _photograph_table(draws["photographs"]),
+        f"**Real photographs** (`conditions`): 342 of seven sets, and 32 machines' cameras, beside "
+        f"{EACH} draws of each of 40 pictures in air, by 26 numbers of a picture / by the 12 that "
+        "water decides. Recall: photographs within the range of draws. Coverage: photographs with "
+        "a draw among their neighbours. Precision: draws within the range of photographs. Cameras: "
+        "frames reached, mean over cameras (of how many none). Medians: of draws (of photographs).",
+        _photograph_table(conditions["photographs"]),
     ]
     return "\n\n".join(paragraphs)
 
 
 def _photograph_table(rows: Results) -> str:
-    measures = ["recall", "precision"]
+    measures = ("recall", "coverage", "precision")
+    medians = {"sd_RG": "red / green", "loc2": "fine structure", "dark": "dark channel"}
     shown = []
-    for name in CHANGED:
-        row = rows[name]
-        cells = [
-            " / ".join(f"{row[f'{measure}, {kind}']['mean']:.2f}" for kind in ("all", "water"))
-            for measure in measures
-        ]
-        shown.append([name, *cells, f"{row['neon']['mean']:.2f}"])
-    return table(["", *measures, "neon"], shown)
+    for name, row in rows.items():
+        cells = [" / ".join(f"{share:.2f}" for share in row[measure]) for measure in measures]
+        cells.append(f"{row['cameras']:.2f} ({row['cameras not reached']})")
+        cells += [f"{row[key][1]:.2f} ({row[key][0]:.2f})" for key in medians]
+        shown.append([name, *cells])
+    return table(["", *measures, "cameras", *medians.values()], shown)
 
 
 def _transport_table(physics: Results) -> str:

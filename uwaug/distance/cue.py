@@ -1,8 +1,7 @@
 """Guesses of near and far in a picture, by a small network.
 
 Its encoder is the backbone of YOLOX-nano, as its authors trained it on COCO (`cue.LICENSE`). Its
-decoder was trained on rendered scenes, then on these with people cut out of photographs of COCO and
-on such photographs, by `python -m benchmarks.depth.train`.
+decoder was trained on rendered scenes alone, by `python -m benchmarks.depth.train`.
 """
 
 import math

@@ -36,11 +36,9 @@ photographs.csv (short side 256 px); its weight in `like`, 2 for colour, which o
 # 70 and 88 % of real photographs are nearer, and a quarter of those with red and green swapped.
 _FAIR_FROM, FAR_FROM = 0.8, 1.0
 
-SPREADS, _COUNTS, *_ = map(np.array, zip(*WATER_FEATURES.values(), strict=True))
-"""Standard deviations of the twelve numbers in photographs."""
-
+_SPREADS, _COUNTS, *_ = map(np.array, zip(*WATER_FEATURES.values(), strict=True))
 # of each number: a standard deviation of photographs, on average
-_UNITS = SPREADS * np.sqrt(np.mean(_COUNTS**2)) / _COUNTS
+_UNITS = _SPREADS * np.sqrt(np.mean(_COUNTS**2)) / _COUNTS
 
 _BLOCKS = 16  # along a picture's short side, in which the veil is looked for
 _JITTER = 1e-8  # variance added to each channel's: a constant one correlates with nothing

@@ -11,7 +11,7 @@ from uwaug.formation.development import DOMAINS, Development
 from uwaug.formation.sensor import Sensor
 from uwaug.transforms.measured import Measured
 
-_SENSOR = Sensor((300.0, 1e6))  # of pictures that were made small, to dim ones of action cameras
+_SENSOR = Sensor((3e3, 1e6))  # from dim frames of an action camera to pictures made small
 
 
 @codec.plain
