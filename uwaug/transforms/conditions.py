@@ -89,7 +89,7 @@ def photographed() -> Conditions:
 
 def row_of(numbers: Mapping[str, float]) -> dict[str, Any]:
     """The condition of the numbers in `COLUMNS`."""
-    water = {"waters": [{name: numbers[name] for name in UNITS}]}
+    water = {"waters": [{name: numbers.get(name, 0.0) for name in UNITS}]}
     development = {name: numbers[name] for name in OF_DEVELOPMENT}
     return {
         "water": water | {name: numbers[name] for name in OF_WATER},
