@@ -176,12 +176,6 @@ def test_what_is_refused(call: Any, words: str) -> None:
         call()
 
 
-def test_kept_draws_are_draws_of_the_transform() -> None:
-    augment = RandomUnderwater("9C", conditions=Conditions([{"water": {"g": 0.3}}]))
-    (drawn,) = augment.make_params(GREEN)["samples"]
-    assert (drawn["water"]["waters"], drawn["water"]["g"]) == (["9C"], 0.3)
-
-
 def test_kept_daylight_has_no_lamps() -> None:
     (sample,) = RandomUnderwater(light=RandomLight(share=1.0)).make_params(pictures(1))["samples"]
     assert "rig" in sample["light"]

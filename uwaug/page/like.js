@@ -55,7 +55,7 @@ export function featuresOf({ pixels, width, height }) {
 }
 
 /** A number a share of the way from one draw to another; of contents the ratio counts. */
-const mixed = (low, high, share, isContent) => Number((isContent ? low * (high / low) ** share : low + share * (high - low)).toPrecision(3));
+const mixed = (low, high, share, isContent) => Number((isContent && low * high > 0 ? low * (high / low) ** share : low + share * (high - low)).toPrecision(3));
 
 /** Numbers that a picture draws by default, as uwaug.transforms.conditions does, but for those that are held. */
 export function drawnBy(random, settings, held, { conditions, sums, between, contents, visible, left, pitch }) {
