@@ -16,6 +16,7 @@ COAST = Constituents(chlorophyll=(1, 20), cdom=(0.1, 2), minerals=0.5)
 LASERS = Camera([450, 550, 600], [[0, 0, 1], [0, 1, 0], [1, 0, 0]], name="lasers")
 FIT = uwaug.Medium.from_coefficients([0.4, 0.2, 0.1], [0.3, 0.15, 0.1], [0.1, 0.3, 0.4], b_mean=0.2)
 RAW = RandomDevelopment(**RandomDevelopment.PLAIN)
+QUIET = RandomDevelopment(noise=None)
 EVERYTHING = {
     "mixing": (0.0, 1.0),
     "contrast": (0.2, 0.4),

@@ -33,6 +33,7 @@ from uwaug import (
 from uwaug.distance import MadeUp, Metres, from_relative
 from uwaug.figures.sheet import Cell, coloured, save, sheet
 from uwaug.presets.scene import Scene, motorcycle
+from uwaug.transforms.draws import of_frame
 
 WATERS = {"II": 1.0, "7C": 0.2}
 """What the scene's distances are multiplied by: at 2 to 5 m nothing is seen in 7C."""
@@ -202,7 +203,7 @@ def film() -> Image.Image:
     (sample,) = augment.for_clip(record, image[middle], distance[middle])["samples"]
     cells = []
     for number, view in enumerate(views):
-        moved = {"samples": [{**sample, "moved": 0.1 * number}]}
+        moved = {"samples": [{**of_frame(sample, number), "moved": 0.1 * number}]}
         wet = augment.transform(image[view], distance[view], moved)
         cells.append((wet, f"{0.1 * number:.1f} m of drift"))
     return sheet([cells], (155, 155))

@@ -226,8 +226,9 @@ def test_pictures_like_a_photograph(folder, run, monkeypatch):
     assert "2 of 2 pictures written to wet" in out
     recipe = json.loads((folder / "wet/a.png.json").read_text())["recipe"]
     transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
-    assert isinstance(transform, uwaug.transforms.UnderwaterLike)
-    assert all(0.2 <= one["water"]["contrast"] <= 0.5 for one in transform.kept)
+    contrasts = [row["water"]["contrast"] for row in transform.conditions.rows]
+    assert len(contrasts) == 2
+    assert all(0.2 <= contrast <= 0.5 for contrast in contrasts)
     # a folder, and more of them; the real ones stand on the sheet
     (folder / "dives/more").mkdir(parents=True)
     for name in ("dives/a.png", "dives/more/b.png"):
@@ -235,7 +236,7 @@ def test_pictures_like_a_photograph(folder, run, monkeypatch):
     code, out, _ = run(*line, "both", "--like", "dives", "--sheet")
     assert "like 3 photographs: " in out
     recipe = json.loads((folder / "both/a.png.json").read_text())["recipe"]
-    assert len(recipe["transform"]["kept"]) == 6
+    assert len(recipe["transform"]["conditions"]["rows"]) == 6
     with Image.open(folder / "both/sheet.jpg") as sheet:
         shown = np.asarray(sheet, float)[12:, 12:]
     # two pairs, and below them the real ones
@@ -311,7 +312,7 @@ def test_tables_of_a_file_of_options_lie_beside_it(folder, run):
     line = ("degrade", "photos/a.png", "--plain", "--distance", "2", "--out", "wet")
     assert run(*line, "--options", "own/o.toml")[0] == 0
     (sample,) = json.loads((folder / "wet/a.png.json").read_text())["params"]["samples"]
-    assert sample["water"] == {"waters": ["harbour"], "mixing": 0, "vertical_depth": 0, "g": 0.05}
+    assert sample["water"] == {"waters": ["harbour"], "mixing": 0, "vertical_depth": 0, "g": 0.2}
 
 
 @pytest.mark.parametrize(
@@ -569,6 +570,8 @@ def test_a_film_without_maps_is_a_plane(folder, run):
     assert "made up from each frame would flicker" in out
     records = [json.loads(path.read_text()) for path in (folder / "wet").glob("*.png.json")]
     samples = [record["params"]["samples"][0] for record in records]
+    seeds = {sample["development"]["noise"].pop("seed") for sample in samples}
+    assert len(seeds) == 2
     for noun in ("water", "distance", "light", "development"):
         assert samples[0][noun] == samples[1][noun]
     assert 1 <= samples[0]["distance"]["distance"] <= 5
@@ -616,7 +619,7 @@ def test_plain_pictures_have_nothing_random(folder, run):
     assert run(*set_, "set")[0] == 0
     assert written(folder / "wet") == written(folder / "again") == written(folder / "set")
     law = uwaug.PointSpread.calibrated()
-    water = uwaug.Medium.from_water("3C", vertical_depth=0.0, g=0.05, point_spread=law)
+    water = uwaug.Medium.from_water("3C", vertical_depth=0.0, g=0.2, point_spread=law)
     image = torch.from_numpy(np.array(Image.open("photos/a.png"))).permute(2, 0, 1)
     wanted = uwaug.Underwater(water)(image, torch.full((1, 24, 32), 2.0)).permute(1, 2, 0)
     made = torch.from_numpy(np.array(Image.open("wet/a.png")))
@@ -625,7 +628,7 @@ def test_plain_pictures_have_nothing_random(folder, run):
     named = ("--contrast", ".5", "--set", "water.vertical_depth=3", "--options", "options.toml")
     assert run(*line, "named", *named)[0] == 0
     (sample,) = json.loads((folder / "named/a.png.json").read_text())["params"]["samples"]
-    water = {"waters": ["3C"], "contrast": 0.5, "mixing": 0, "vertical_depth": 3, "g": 0.05}
+    water = {"waters": ["3C"], "contrast": 0.5, "mixing": 0, "vertical_depth": 3, "g": 0.2}
     assert sample["water"] == water
     camera = {"exposure": 0, "white_balance": 0, "saturation": 1, "gamut": 0, "tone": 1.2}
     assert (sample["light"], sample["development"]) == ({}, camera)

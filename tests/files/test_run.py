@@ -294,7 +294,7 @@ def test_a_sheet_shows_kept_and_dropped_boxes() -> None:
     Path("labels/a.txt").write_text("".join(lines))
     save("dark/a.png", np.full((180, 240, 3), 30, np.uint8))
     save("far/a.npy", np.repeat(np.linspace(0.2, 30, 180), 240).reshape(180, 240))
-    recipe = Recipe(WATER, min_contrast=0.05)
+    recipe = Recipe(RandomUnderwater(RandomWater("II", visibility=15)), min_contrast=0.05)
     summary = degrade(recipe, propose("dark", "far", "labels"), "out", sheet=True)
     assert summary.objects == (2, 1)
     with Image.open("out/sheet.jpg") as sheet:

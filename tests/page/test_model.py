@@ -23,9 +23,11 @@ from uwaug.formation.image import blurred_as_seen, form
 from uwaug.page.tables import plan_of_page, tables
 from uwaug.transforms import random_water
 from uwaug.transforms.appearance import water_features
+from uwaug.transforms.conditions import photographed
 
 HEIGHT, WIDTH = 40, 52
 WATERS, PICTURES = 16, 4
+MIXTURE = {"water", "other", "share"}
 
 
 CONTENTS = {"chlorophyll": (0.1, 20), "cdom": (0.02, 3), "minerals": (0.02, 5)}
@@ -63,7 +65,7 @@ def twin_of(settings: dict[str, Any]) -> uwaug.RandomUnderwater:
     return uwaug.RandomUnderwater(
         uwaug.RandomWater(water, field=None, point_spread=blur, **of_water),
         light=uwaug.Light(pitch=settings["pitch"]),
-        development=uwaug.RandomDevelopment(**of_camera, tone=settings["tone"]),
+        development=uwaug.RandomDevelopment(**of_camera, tone=settings["tone"], noise=None),
     )
 
 
@@ -321,3 +323,18 @@ def test_made_up_distances(page: Page) -> None:
         maps.append(z)
     assert not np.array_equal(maps[0], maps[1])
     assert np.array_equal(maps[0], maps[3])
+
+
+def test_draws_are_conditions_of_the_package(page: Page) -> None:
+    names = ("condition", "other condition", "between", "pitch")
+    for shares in np.random.default_rng(4).uniform(size=(20, 4)).tolist():
+        page.engine.eval(f"var shares = {shares}")
+        drawn = page("drawnBy(() => shares.shift(), { g: 0.3 }, ['tone'], tables.draws)")
+        row = photographed().picked(dict(zip(names, shares, strict=True)).__getitem__)
+        expected = {**row["water"]["waters"][0], **row["water"], **row["development"], "g": 0.3}
+        medians = 1.1 * (60 / 1.1) ** expected["clearness"]
+        expected |= {"contrast": 0.02 ** (1 / medians), "pitch": -25 + 40 * shares[3]}
+        expected |= {"white_balance": max(expected["white_balance"], 0)}
+        assert drawn.keys() == expected.keys() - {"waters", "clearness", "noise", "tone"} | MIXTURE
+        for name in drawn.keys() - MIXTURE:
+            assert drawn[name] == pytest.approx(expected[name], rel=0.03)

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import pytest
 import torch
+from augmenting import QUIET
 
 from uwaug import RandomDevelopment, RandomUnderwater, RandomWater, Sensor
 from uwaug.distance import MadeUp
@@ -41,7 +42,7 @@ def clip(augment, frames, seed, drift=0.0, motion=(0.0, 0.0, 0.0)):
 def test_what_two_frames_share_changes_by_two_levels_at_most(frames, drift):
     pan, dolly = frames
     for seed in range(4):
-        augment = RandomUnderwater(light=None)  # lamps move with the camera
+        augment = RandomUnderwater(light=None, development=QUIET)  # lamps move with the camera
         panned = list(clip(augment, pan, seed, drift))
         pairs = [(a[..., STEP:], b[..., :-STEP]) for a, b in pairwise(panned)]
         moved = list(clip(augment, dolly, seed, drift))
@@ -55,7 +56,7 @@ def test_what_two_frames_share_changes_by_two_levels_at_most(frames, drift):
 
 def test_a_field_stays_in_the_water_where_a_camera_moves(frames):
     pan, _ = frames
-    augment = RandomUnderwater(light=None)
+    augment = RandomUnderwater(light=None, development=QUIET)
     changes = []
     for sign in (1, 0, -1):
         params = augment.make_params(pan[0][0], torch.Generator().manual_seed(2))
@@ -109,7 +110,7 @@ def test_a_whole_clip_is_settled_on_its_middle_frame(frames):
 def test_a_video_is_a_film(torchvision, frames):
     v2, tv = torchvision.transforms.v2, torchvision.tv_tensors
     batch, maps = (torch.stack(each) for each in zip(*frames[1], strict=True))
-    augment, video = RandomUnderwater(), tv.Video(batch)
+    augment, video = RandomUnderwater(development=QUIET), tv.Video(batch)
     for key in range(3):
         record = augment.make_params(video, torch.Generator().manual_seed(key))
         film = augment.for_clip(record, batch[4], maps[4])

@@ -11,11 +11,12 @@ from uwaug._support.nouns import Uniform
 from uwaug.distance import MadeUp, Network, Relative
 from uwaug.formation.colour import srgb_to_linear
 
+NAMED: dict[str, Any] = {"waters": ["II", "3C"]}
 OTHERS: dict[str, dict[str, Any]] = {
     "mu": {"water": RandomWater(mu=(0.02, 0.04))},
     "contrast": {"water": RandomWater(contrast=0.3)},
     "field_seed": {"water": RandomWater(field=None)},
-    "mixing": {"water": RandomWater(["II", "3C"], mixing=(0, 1))},
+    "mixing": {"water": RandomWater(**NAMED, mixing=(0, 1))},
     "color_matrix": {"water": RandomWater(color_matrix=None)},
     "snow": {"water": RandomWater(snow=MarineSnow((500, 2000)))},
     "noise": {"development": RandomDevelopment(noise=Sensor((2000, 5000), (1, 5)))},
@@ -34,7 +35,8 @@ def drawn(**options: Any) -> list[dict[str, Any]]:
 @pytest.mark.parametrize("name", OTHERS)
 def test_an_option_moves_no_other_number_and_no_other_picture(name: str) -> None:
     changed = set()
-    for usual, other in zip(drawn(), drawn(**OTHERS[name]), strict=True):
+    default = {"water": RandomWater(**NAMED)} if name == "mixing" else {}
+    for usual, other in zip(drawn(**default), drawn(**OTHERS[name]), strict=True):
         assert usual.pop("water.waters")[0] == other.pop("water.waters")[0]
         changed |= {n for n in {*usual, *other} if usual.get(n) != other.get(n)}
     assert changed

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from augmenting import flat, same
+from augmenting import RAW, flat, same
 from torch import Tensor
 
 import uwaug
@@ -106,7 +106,8 @@ def test_the_same_seed_keeps_the_same_draws() -> None:
 
 def test_draws_spread_over_all_photographs_and_serve_each_other() -> None:
     blue, red = in_water("II", 0.3), torch.tensor([1.0, 0, 0])[:, None, None].expand(3, H, W)
-    augment = RandomUnderwater(RandomWater(["II", "9C"], contrast=(0.07, 0.4)))
+    water = RandomWater(["II", "9C"], contrast=(0.07, 0.4))
+    augment = RandomUnderwater(water, development=RAW)
     made = []
 
     class Counting(RandomUnderwater):
@@ -114,7 +115,7 @@ def test_draws_spread_over_all_photographs_and_serve_each_other() -> None:
             made.append(1)
             return augment.transform(*inputs)
 
-    counting = Counting(augment.water, p=0.0)  # which looks at all the same
+    counting = Counting(water, development=RAW, p=0.0)  # which looks at all the same
     with pytest.warns(UserWarning, match="nearest draws look unlike.*greener"):
         found = uwaug.like(
             iter([GREEN, blue, red, blue]), pictures(4), maps(4), augment=counting, **FEW
@@ -173,12 +174,6 @@ REFUSED = [
 def test_what_is_refused(call: Any, words: str) -> None:
     with pytest.raises((TypeError, ValueError), match=words):
         call()
-
-
-def test_kept_draws_are_draws_of_the_transform() -> None:
-    augment = RandomUnderwater("9C", conditions=Conditions([{"water": {"g": 0.3}}]))
-    (drawn,) = augment.make_params(GREEN)["samples"]
-    assert (drawn["water"]["waters"], drawn["water"]["g"]) == (["9C"], 0.3)
 
 
 def test_kept_daylight_has_no_lamps() -> None:

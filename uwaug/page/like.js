@@ -54,17 +54,20 @@ export function featuresOf({ pixels, width, height }) {
     1 - mean(widened(bright, height, width, (side - 1) >> 1))]; // the darkest nearby is least bright
 }
 
-/** Numbers that a picture draws by default, but for those that are held. */
-export function drawnBy(random, settings, held, { contents, ranges }) {
-  const drawn = { ...settings };
-  const between = ([low, high], share, log) => Number((log ? low * (high / low) ** share : low + (high - low) * share).toPrecision(3));
-  const inWater = Object.keys(contents).map(name => [name, between(contents[name], random(), true)]);
-  if (!held.includes("water")) Object.assign(drawn, Object.fromEntries(inWater), { water: "contents", share: 0, other: "" });
-  for (const name in ranges) {
-    const value = between(ranges[name], random(), name === "contrast");
-    if (!held.includes(name)) drawn[name] = name === "white_balance" ? Math.max(value, 0) : value; // below, none
-  }
-  return drawn;
+/** A number a share of the way from one draw to another; of contents the ratio counts. */
+const mixed = (low, high, share, isContent) => Number((isContent && low * high > 0 ? low * (high / low) ** share : low + share * (high - low)).toPrecision(3));
+
+/** Numbers that a picture draws by default, as uwaug.transforms.conditions does, but for those that are held. */
+export function drawnBy(random, settings, held, { conditions, sums, between, contents, visible, left, pitch }) {
+  const drawn = { ...settings }, pick = at => conditions[sums.findIndex(sum => sum > at * sums.at(-1))];
+  const first = pick(random()), second = pick(random()), share = between * random();
+  const numbers = { pitch: mixed(...pitch, random()) };
+  for (const name in first) numbers[name] = mixed(first[name], second[name], share, contents.includes(name));
+  const medians = mixed(...visible, numbers.clearness, true); // of the scene that one sees
+  Object.assign(numbers, { contrast: Number((left ** (1 / medians)).toPrecision(3)), white_balance: Math.max(numbers.white_balance, 0) }); // below, none
+  delete numbers.clearness;
+  for (const name in numbers) if (!held.includes(contents.includes(name) ? "water" : name)) drawn[name] = numbers[name];
+  return held.includes("water") ? drawn : { ...drawn, water: "contents", share: 0, other: "" };
 }
 
 const NEW = 80, BETWEEN = 40, PARENTS = 12; // draws; uwaug.like tries as many again on further pictures
@@ -85,8 +88,9 @@ export async function nearestDraw(scene, photograph, settings, held, random, tab
   const parents = tried.toSorted(byDistance).slice(0, PARENTS), pick = () => parents[Math.floor(random() * PARENTS)].drawn;
   while (tried.length < NEW + BETWEEN) {
     const drawn = { ...pick() }, other = pick();
-    for (const name in tables.draws.ranges) {
-      if (!held.includes(name)) drawn[name] = Number((drawn[name] + random() * (other[name] - drawn[name])).toPrecision(3));
+    for (const name in drawn) { // what is held is alike in both
+      const isContent = tables.draws.contents.includes(name);
+      if (typeof drawn[name] === "number" && drawn[name] !== other[name]) drawn[name] = mixed(drawn[name], other[name], random(), isContent);
     }
     await attempt(drawn);
   }

@@ -419,10 +419,9 @@ function optionsOf(files, everything) {
   if (blur !== 1) ofWater.point_spread = { scale: rounded(scale * blur * files.width), exponent, shape: "exponential" };
   const ofCamera = name => SLIDERS[name]?.[0] === "camera-controls" && name !== "color_matrix";
   for (const name of DRAWN) if (ofCamera(name) && held(name)) development[name] = state[name];
-  if (full_well < 1e5) development.noise = { full_well, read_noise };
-  else if (everything) development.noise = null;
+  development.noise = full_well < 1e5 ? { full_well, read_noise } : null;
   if (Object.keys(ofWater).length) options.water = ofWater;
-  if (Object.keys(development).length) options.development = development;
+  options.development = development;
   const holes = files.holes === "error" ? {} : { holes: rounded(files.holes * times) || files.holes };
   const near = rounded(files.near * times), far = rounded(files.far * times);
   if (Number.isFinite(+files.distance)) options.distance = rounded(files.distance * times);

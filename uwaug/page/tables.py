@@ -1,6 +1,7 @@
 """Numbers of the model for the page: spectra, the plan of the blur, constants and defaults."""
 
 import base64
+from itertools import accumulate
 from typing import Any
 
 import torch
@@ -23,8 +24,8 @@ from uwaug.optics.view import WIDE, WIDE_DEGREES
 from uwaug.optics.water import CONTRAST_THRESHOLD, LEAST_LOSS, Water, eye
 from uwaug.transforms import random_water
 from uwaug.transforms.appearance import WATER_FEATURES
+from uwaug.transforms.conditions import photographed
 from uwaug.transforms.measured import SAMPLED
-from uwaug.transforms.random_development import RandomDevelopment
 from uwaug.transforms.random_light import RandomLight
 from uwaug.transforms.random_underwater import SEVERITIES
 from uwaug.transforms.random_water import RandomWater
@@ -136,20 +137,21 @@ def _blur(sigma: float, cell: float, reach: float) -> dict[str, Any]:
 
 
 def _draws() -> dict[str, Any]:
-    water, development = RandomWater(), RandomDevelopment()
+    rows, conditions = [], photographed()
+    for row in conditions.rows:
+        (contents,), others = row["water"]["waters"], {**row["water"], **row["development"]}
+        rows.append({**contents, **{n: x for n, x in others.items() if isinstance(x, float)}})
     return {
-        "contents": random_water.WATERS.ranges(),
+        "conditions": rows,
+        "sums": list(accumulate(conditions.weights or ())),
+        "between": conditions.between,
+        "contents": list(constituents.UNITS),
         "severities": list(SEVERITIES.values()),
-        "g": water.g,
-        "ranges": {
-            # left at the median distance, where contrast falls exponentially to the visibility
-            "contrast": [CONTRAST_THRESHOLD ** (1 / count) for count in random_water.VISIBLE],
-            "vertical_depth": water.vertical_depth,
-            "mu": water.mu,
-            "color_matrix": water.color_matrix,
-            "pitch": RandomLight.pitch,
-            **development.ranges(),
-        },
+        "g": RandomWater.g,
+        # median distances, at the last of which so much contrast is left: it falls exponentially
+        "visible": random_water.VISIBLE,
+        "left": CONTRAST_THRESHOLD,
+        "pitch": RandomLight.pitch,
     }
 
 

@@ -28,7 +28,7 @@ _LOGARITHMIC = {*UNITS, "full_well"}
 
 
 @codec.plain
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, repr=False)
 class Conditions:
     """Conditions of photographs: each picture takes one, all of its numbers together.
 
@@ -48,7 +48,7 @@ class Conditions:
     weights: Sequence[float] | None = None
     between: float = 0.0
     binding: bool = True
-    nearness: Nearness | None = option(default=None, metadata={"stored": False})
+    nearness: Nearness | None = option(default=None, compare=False, metadata={"stored": False})
 
     def __post_init__(self) -> None:
         if not self.rows:
@@ -89,7 +89,7 @@ def photographed() -> Conditions:
 
 def row_of(numbers: Mapping[str, float]) -> dict[str, Any]:
     """The condition of the numbers in `COLUMNS`."""
-    water = {"waters": [{name: numbers[name] for name in UNITS}]}
+    water = {"waters": [{name: numbers.get(name, 0.0) for name in UNITS}]}
     development = {name: numbers[name] for name in OF_DEVELOPMENT}
     return {
         "water": water | {name: numbers[name] for name in OF_WATER},

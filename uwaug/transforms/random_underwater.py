@@ -180,6 +180,8 @@ class RandomUnderwater(SampleTransform):
         nouns = {name: noun for name, noun in self._nouns.items() if name != "distance"}
         names = [f"{name}.{option}" for name, noun in nouns.items() for option in noun.random()]
         names += ["p"] * (self.p < 1) + ["water.contrast"] * (self.water.contrast is not None)
+        if self.conditions and self.conditions.binding and len(self.conditions.rows) > 1:
+            names.append("conditions")
         if names:
             got = ", ".join(dict.fromkeys(names))
             raise ValueError(f"a module makes the same of all pictures, but {got} differ: fix them")
@@ -263,7 +265,8 @@ class RandomUnderwater(SampleTransform):
         Returns:
             A record with a sample for each of these frames. Set at each how far, in m, field and
             snow have drifted to the right ("moved"), and the camera has moved to the right, down
-            and forward ("motion"); all are 0.
+            and forward ("motion"); all are 0. A sample that serves several frames gives them the
+            same noise: set the "seed" of its "noise" anew.
         """
         frames = pictures_of(image)
         if len(frames) > 1 and isinstance(self.distance, MadeUp):
