@@ -9,7 +9,7 @@ the form of `results/photographs.csv`, whose second column names the camera), ar
 
     p(photograph) = Σ weight_c · mean of exp(−d²/2h²) over the pictures on which c was tried
 
-with d the distance in `NUMBERS`, in standard deviations of photographs. Most weights become 0
+with d the distance in twelve numbers, in standard deviations of photographs. Most weights become 0
 (the nonparametric estimate of a mixture by maximum likelihood, Laird 1978, by expectation and
 maximisation). A picture's own share in its numbers is in the mean, so weights are of conditions
 that look like photographs on *any* scene.
@@ -28,7 +28,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
-from torch import Tensor
 
 import uwaug
 from benchmarks.accuracy.draws import draws, sources
@@ -48,7 +47,6 @@ from uwaug.transforms.like import Search
 
 TRIED, PICTURES = 4400, 6  # conditions, and pictures on which each is tried
 BANDWIDTH = 0.3  # h, in the median distance of photographs to their fifth neighbour
-NUMBERS = (*WATER_FEATURES, "L_p5", "L_p95", "rms", "loc6", "loc18")
 STEPS = 300
 LEAST_WEIGHT = 1e-4
 CAMERA = 6.0  # photographs for which all frames of a camera stand
@@ -78,14 +76,8 @@ def load_cameras(path: Path, names: list[str]) -> Reference:
     return Reference(numbers, np.array([line[1] for line in lines]))
 
 
-def numbers_at_128(picture: Tensor) -> Numbers:
-    """`NUMBERS` of a picture (3xHxW, 0…1) with a short side of 128 px."""
-    numbers = numbers_of((picture * 255).round().byte().permute(1, 2, 0).numpy(), 128)
-    return np.array([numbers[name] for name in NUMBERS])
-
-
 def likelihoods(search: Search, wanted: Numbers, photographs: Numbers) -> Numbers:
-    """Of each picture that is wanted (N, by `NUMBERS`), in each condition that was tried (NxC)."""
+    """Of each picture that is wanted (Nx12), in each condition that was tried (NxC)."""
     spreads = photographs.std(0)
     apart = np.sort(cdist(*[photographs / spreads] * 2), 1)[:, 5]
     spreads = spreads * BANDWIDTH * np.median(apart) * np.sqrt(2)
@@ -98,7 +90,7 @@ def likelihoods(search: Search, wanted: Numbers, photographs: Numbers) -> Number
 def found(search: Search, photographs: Reference, cameras: Reference | None) -> Conditions:
     """The conditions in which photographs and frames are most likely."""
     names = load_photographs()[1]
-    used = [names.index(name) for name in NUMBERS]
+    used = [names.index(name) for name in WATER_FEATURES]
     numbers, counts = photographs.numbers, np.ones(len(photographs.numbers))
     if cameras:
         numbers = np.concatenate([numbers, cameras.numbers])
@@ -177,7 +169,7 @@ def main(
     images, maps = zip(*(scenes[i] for i in order), strict=True)
     # with lamps tried, too, and left to `RandomLight`, cameras are reached less (.64 for .69)
     wide = uwaug.RandomUnderwater(light=uwaug.RandomLight(share=0.0), conditions=None)
-    search = Search(wide, list(images), list(maps), 0, numbers_at_128)
+    search = Search(wide, list(images), list(maps), seed=0)
     search.draw(20 if quick else TRIED, PICTURES)
     results = dict[str, Any]()
 

@@ -44,10 +44,8 @@ def load_photographs() -> tuple[Numbers, list[str], NDArray[Any]]:
     return numbers, head[2:], np.array([line[1] for line in lines])
 
 
-def numbers_of(picture: Picture, side: int = 256) -> dict[str, float]:
-    """26 numbers of a picture (HxWx3, sRGB) with a short side of so many px, by name. "loc2" and
-    "slope" hang on it.
-    """
+def numbers_of(picture: Picture) -> dict[str, float]:
+    """26 numbers of a picture (HxWx3, sRGB, short side 256 px), by name."""
     srgb = picture.astype(np.float32) / 255
     lab = rgb2lab(srgb)
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
@@ -55,7 +53,7 @@ def numbers_of(picture: Picture, side: int = 256) -> dict[str, float]:
     return {
         **water_features(srgb),
         **_of_colour(srgb, lab),
-        **_of_detail(lab[..., 0], luminance, side // 64),
+        **_of_detail(lab[..., 0], luminance),
         "clip_hi": float(np.sqrt((picture.max(2) >= 253).mean())),
         "clip_lo": float(np.sqrt((picture.min(2) <= 2).mean())),
         **_of_layout(luminance),
@@ -76,10 +74,10 @@ def _of_colour(srgb: Numbers, lab: Numbers) -> dict[str, float]:
     }
 
 
-def _shrunk(x: NDArray[np.float32], times: int) -> NDArray[np.float32]:
-    height, width = (size // times for size in x.shape)
-    cut = x[: height * times, : width * times]
-    small: NDArray[np.float32] = cut.reshape(height, times, width, times).mean((1, 3))
+def _quarter(x: NDArray[np.float32]) -> NDArray[np.float32]:
+    height, width = (size // 4 for size in x.shape)
+    cut = x[: height * 4, : width * 4]
+    small: NDArray[np.float32] = cut.reshape(height, 4, width, 4).mean((1, 3))
     return small
 
 
@@ -89,8 +87,8 @@ def _local_contrast(x: NDArray[Any], square: NDArray[Any], sigma: float) -> floa
     return float(np.log2(np.median(np.sqrt(variance) / mean) + 0.004))
 
 
-def _of_detail(L: Numbers, luminance: NDArray[np.float32], times: int) -> dict[str, float]:
-    small, small_square = (_shrunk(x, times) for x in (luminance, luminance * luminance))
+def _of_detail(L: Numbers, luminance: NDArray[np.float32]) -> dict[str, float]:
+    small, small_square = (_quarter(x) for x in (luminance, luminance * luminance))
     numbers = {
         "loc2": _local_contrast(luminance, luminance * luminance, 2.0),
         "loc6": _local_contrast(small, small_square, 1.5),

@@ -1,7 +1,7 @@
 """`like`: a search for conditions in which pictures look like given photographs."""
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -86,7 +86,7 @@ def like(
     if not 1 <= keep <= draws // 15:
         raise ValueError(f"draws must be 15 times keep or more, and keep 1, got {draws} and {keep}")
     photographs = [_features(photograph) for photograph, _ in _small("reference", reference, 3)]
-    search = Search(augment, pictures, distance, seed, _features)
+    search = Search(augment, pictures, distance, seed)
     with muted():
         search.draw(round(_NEW_SHARE * draws))
         new = np.array([tried.features[0] for tried in search.pool])
@@ -137,17 +137,9 @@ class Search:
 
     Attributes:
         pool: those that were tried.
-        features: the numbers of a picture (3xHxW, 0…1, short side 128 px) that are kept of it.
     """
 
-    def __init__(
-        self,
-        augment: RandomUnderwater,
-        pictures: Any,
-        distance: Any,
-        seed: int,
-        features: Callable[[Tensor], Values],
-    ) -> None:
+    def __init__(self, augment: RandomUnderwater, pictures: Any, distance: Any, seed: int) -> None:
         small, maps = _small("pictures", pictures, 3), []
         if distance is not None:
             maps = _small("distance", distance, 1)
@@ -160,7 +152,6 @@ class Search:
         ]
         self._generator = torch.Generator().manual_seed(seed)
         self.pool: list[Tried] = []
-        self.features = features
 
     def draw(self, count: int, pictures: int = 1) -> None:
         """Try so many new conditions, each on so many of the pictures, which take turns."""
@@ -201,7 +192,7 @@ class Search:
             result = scene.augment.transform(scene.picture, scene.metres, {"samples": [sample]})
             if scene.augment.development.color_space == "linear":
                 result = linear_to_srgb(result).clamp(0, 1)
-            tried.features.append(self.features(result))
+            tried.features.append(_features(result))
 
 
 def _without_seeds(draw: Mapping[str, Any]) -> dict[str, Any]:
