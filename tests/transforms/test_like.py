@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from augmenting import RAW, flat, same
+from augmenting import QUIET, RAW, flat, same
 from torch import Tensor
 
 import uwaug
@@ -36,8 +36,8 @@ def maps(count: int) -> Tensor:
 def in_water(water: str, contrast: float) -> Tensor:
     """What stands for a photograph: another picture in one water."""
     noun = RandomWater(water, contrast=contrast)
-    augment = RandomUnderwater(noun, light=None)
-    wet: Tensor = augment.at(0, 0, 6)(pictures(1, 9), maps(1))[0][0]
+    augment = RandomUnderwater(noun, light=None, development=QUIET, conditions=None)
+    wet: Tensor = augment.at(0, 0, 5)(pictures(1, 9), maps(1))[0][0]
     return wet
 
 

@@ -7,6 +7,7 @@ import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial, reduce
+from itertools import product
 from typing import Any
 
 import pytest
@@ -35,9 +36,9 @@ from uwaug._support import checks
 from uwaug.distance import Inverse, MadeUp, Metres, Network, Plane, Relative
 from uwaug.formation.colour import LUMINANCE
 from uwaug.formation.contrast import metres_for
-from uwaug.transforms.conditions import Conditions, laid_over, photographed
+from uwaug.transforms.conditions import Conditions
 from uwaug.transforms.random_underwater import SEVERITIES
-from uwaug.transforms.random_water import VISIBLE
+from uwaug.transforms.random_water import VISIBLE, WATERS
 
 LIT = Light((Lamp((0.4, 0.0, 0.0)),), 0.3)
 PLAIN: dict[str, Any] = {**RandomWater.PLAIN, "point_spread": uwaug.PointSpread.paper()}
@@ -287,15 +288,16 @@ def test_default_waters_let_one_see_so_many_median_distances(metres: float) -> N
 
 
 @pytest.mark.usefixtures("nothing_is_said")
-@pytest.mark.parametrize("metres", [0.3, 3.0, 30.0])
+@pytest.mark.parametrize("metres", [0.1, 3.0, 30.0])
 def test_default_draws_are_waters(metres: float) -> None:
     """None is odd, however clear: a warning would be an error."""
     aug = RandomUnderwater()
     params = aug.make_params(picture())
     (sample,) = params["samples"]
-    for row in photographed().rows:
-        params["samples"] = [laid_over(sample, row)]
-        aug.scenes(picture(), wall(metres), params)
+    for share, clearness in product((0.0, 0.5, 1.0), (0.0, 1.0)):
+        drawn = WATERS.drawn({}.fromkeys(WATERS.ranges(), share).__getitem__)
+        sample["water"] |= {"waters": [drawn], "clearness": clearness}
+        aug.transform(picture(), wall(metres), params)
 
 
 @pytest.mark.parametrize("distance", [Relative(), Inverse(), MadeUp()])
@@ -308,6 +310,8 @@ def test_a_scene_without_a_size_ends_where_its_water_leaves_so_much(
     record = aug.make_params(picture(8), seeded(1))
     for sample in record["samples"]:
         sample["distance"] |= {"near_left": 0.6, "far_left": 0.04}
+        if water is None:  # so clear that no end is held
+            sample["water"]["clearness"] = 0.4
     scenes = aug.scenes(picture(8), t if distance.reads_maps else None, record)
     for i, metres in enumerate(scenes.metres):
         water = scenes.clarity(i).water

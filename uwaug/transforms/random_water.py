@@ -49,8 +49,8 @@ PLACED_M = 2.0
 MILDEST = 0.65
 """Contrast of the mildest grade of severity, for which scenes that are placed are small enough."""
 
-# times what is in a water, from which on is warned: the clearest condition of photographs needs
-# nearly as much where the median distance is .3 m
+# times what is in a water, from which on is warned: the clearest of `WATERS` need 18 for the
+# severest grade at 1 m
 MOST_CONTENTS = 50.0
 _LEAST_CONTENTS = 1e-3  # share of it that stays where pure water is too murky already
 MOST_STOPS = 12.0  # by which contents are scaled, whatever is asked for

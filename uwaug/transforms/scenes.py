@@ -43,6 +43,7 @@ class Scene(NamedTuple):
     setting: Setting
     vertical_depth: float | None  # m; None of a medium
     clarity: Clarity
+    follows: bool  # True if the clarity is one for the scene's distances, whatever they are
 
 
 class Scenes(NamedTuple):
@@ -63,8 +64,9 @@ class Scenes(NamedTuple):
         if len(self.chosen) < len(pictures):
             index = torch.tensor(self.chosen).to(pictures.device)
         settings = [scene.setting for scene in self.scenes]
-        for setting in settings if _blank.looks_left else ():
-            _warn_if_blank(setting)
+        for scene in self.scenes if _blank.looks_left else ():
+            if not scene.follows:
+                _warn_if_blank(scene.setting)
         with checks.full_precision(pictures):
             submerged = pictures if index is None else pictures[index]
             result = form_each(submerged, self.z, self.metres, settings)
@@ -190,9 +192,10 @@ def scene_of(
     space = nouns["development"].color_space
     setting = Setting(medium, light, development, view, space, span)
     clarity = Clarity(made, drawn[1] * contents, of_film.median, draw.water.get("contrast"))
-    if not 0 < clarity.contents <= MOST_CONTENTS:
+    follows = "clearness" in draw.water and clarity.asked is None
+    if not follows and not 0 < clarity.contents <= MOST_CONTENTS:
         odd_scene.warn(clarity.odd)
-    return Scene(setting, vertical_depth, clarity)
+    return Scene(setting, vertical_depth, clarity, follows)
 
 
 def _metres_of(
