@@ -22,6 +22,7 @@ own, they are found for those, and nothing is told.
 import argparse
 import csv
 from collections.abc import Iterable, Iterator
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,6 +54,8 @@ STEPS = 300
 LEAST_WEIGHT = 1e-4
 CAMERA = 6.0  # photographs for which all frames of a camera stand
 FOUND = ("water", "development")  # parts of a draw that a condition gives
+NOISE = uwaug.Sensor((1e3, 1e6))
+LEAST_WELL = 5e3  # electrons: with fewer, two judges saw coloured grain in six of 40 draws
 EACH = 8  # draws of each picture by which conditions are told
 
 MEDIANS = ("sd_RG", "corr_RG", "log_RG", "log_BG", "loc2", "loc6", "dark", "chroma", "L_mean")
@@ -116,7 +119,10 @@ def found(search: Search, photographs: Reference, cameras: Reference | None) -> 
     for _ in range(STEPS):
         weights *= (counts / (likely @ weights + 1e-12)) @ likely / counts.sum()
     kept = np.flatnonzero(weights > LEAST_WEIGHT)
-    rows = [{name: search.pool[i].condition[name] for name in FOUND} for i in kept]
+    rows = [{name: deepcopy(search.pool[i].condition[name]) for name in FOUND} for i in kept]
+    for row in rows:
+        noise = row["development"]["noise"]
+        noise["full_well"] = max(noise["full_well"], LEAST_WELL)
     return Conditions(rows, [*weights[kept]], BETWEEN, binding=False)
 
 
@@ -184,7 +190,8 @@ def main(
     order = np.random.default_rng(0).permutation(len(scenes))
     images, maps = zip(*(scenes[i] for i in order), strict=True)
     # with lamps tried, too, and left to `RandomLight`, cameras are reached less (.64 for .69)
-    wide = uwaug.RandomUnderwater(light=uwaug.RandomLight(share=0.0), conditions=None)
+    day, camera = uwaug.RandomLight(share=0.0), uwaug.RandomDevelopment(noise=NOISE)
+    wide = uwaug.RandomUnderwater(light=day, development=camera, conditions=None)
     search = Search(wide, list(images), list(maps), seed=0)
     search.draw(20 if quick else TRIED, PICTURES)
     results = dict[str, Any]()
