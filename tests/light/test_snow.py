@@ -213,7 +213,7 @@ def test_in_copies_and_records() -> None:
 @pytest.mark.parametrize("waters", ["II", WATER])
 def test_drawn_anew_for_each_picture_and_moved_in_a_film(waters) -> None:
     snow = MarineSnow((500, 2000), aperture=0.002)
-    augment = RandomUnderwater(RandomWater(waters, field=None, snow=snow))
+    augment = RandomUnderwater(RandomWater(waters, field=None, snow=snow), conditions=None)
     options = {"water": {"snow": {"density": [500, 2000], "aperture": 0.002}}}
     assert RandomUnderwater.from_dict(options).water.snow == snow
     image, z = picture(*SIZE), far().float()
