@@ -74,7 +74,7 @@ def _photograph_table(rows: Results) -> str:
     for name, row in rows.items():
         cells = [" / ".join(f"{share:.2f}" for share in row[measure]) for measure in measures]
         cells.append(f"{row['cameras']:.2f} ({row['cameras not reached']})")
-        cells += [f"{row[key][1]:.2f} ({row[key][0]:.2f})" for key in medians]
+        cells += [f"{row[key][1]:.2f} ({row[key][0]:.2f})".replace("-", "−") for key in medians]
         shown.append([name, *cells])
     return table(["", *measures, "cameras", *medians.values()], shown)
 
