@@ -64,14 +64,6 @@ def test_a_water_that_is_named_is_as_clear_as_in_nature() -> None:
     assert default.keys() - clean.keys() >= {"development.noise.full_well"}
 
 
-def test_without_conditions_ranges_are_drawn_alone() -> None:
-    samples = drawn(RandomUnderwater(conditions=None), 400)
-    tones = torch.tensor([s["development.tone"] for s in samples])
-    depths = torch.tensor([s["water.vertical_depth"] for s in samples])
-    assert tones.mean().item() == pytest.approx(1.2, abs=0.04)
-    assert torch.corrcoef(torch.stack([tones, depths]))[0, 1].abs() < 0.15
-
-
 def test_conditions_of_ones_own_hold_whatever_is_set_and_are_written() -> None:
     own = Conditions([{"water": {"mu": 0.05}}, {"water": {"mu": 0.07}}], weights=[1, 0])
     augment = RandomUnderwater(RandomWater(mu=0.1), conditions=own)
