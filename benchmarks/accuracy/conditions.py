@@ -15,18 +15,21 @@ maximisation). A picture's own share in its numbers is in the mean, so weights a
 that look like photographs on *any* scene.
 
 Told twice over: conditions found for one half of the sets and cameras, by the other half; then the
-conditions found for all, which `--write` writes.
+conditions found for all, which `--write` writes. With `--photographs FOLDER`, of pictures of your
+own, they are found for those, and nothing is told.
 """
 
 import argparse
 import csv
 from collections.abc import Iterable, Iterator
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.spatial.distance import cdist
 
 import uwaug
@@ -51,6 +54,8 @@ STEPS = 300
 LEAST_WEIGHT = 1e-4
 CAMERA = 6.0  # photographs for which all frames of a camera stand
 FOUND = ("water", "development")  # parts of a draw that a condition gives
+NOISE = uwaug.Sensor((1e3, 1e6))
+LEAST_WELL = 5e3  # electrons: with fewer, two judges saw coloured grain in six of 40 draws
 EACH = 8  # draws of each picture by which conditions are told
 
 MEDIANS = ("sd_RG", "corr_RG", "log_RG", "log_BG", "loc2", "loc6", "dark", "chroma", "L_mean")
@@ -74,6 +79,19 @@ def load_cameras(path: Path, names: list[str]) -> Reference:
     places = [head.index(name) for name in names]
     numbers = np.array([[line[place] for place in places] for line in lines], np.float64)
     return Reference(numbers, np.array([line[1] for line in lines]))
+
+
+def load_folder(folder: Path, names: list[str]) -> Reference:
+    """Numbers of the photographs in a folder, in the order of `names`."""
+    rows = []
+    for path in sorted(folder.glob("*.*")):
+        picture = Image.open(path).convert("RGB")
+        scale = 256 / min(picture.size)
+        numbers = numbers_of(
+            np.array(picture.resize([round(scale * side) for side in picture.size]))
+        )
+        rows.append([numbers[name] for name in names])
+    return Reference(np.array(rows), np.array([folder.name] * len(rows)))
 
 
 def likelihoods(search: Search, wanted: Numbers, photographs: Numbers) -> Numbers:
@@ -101,7 +119,10 @@ def found(search: Search, photographs: Reference, cameras: Reference | None) -> 
     for _ in range(STEPS):
         weights *= (counts / (likely @ weights + 1e-12)) @ likely / counts.sum()
     kept = np.flatnonzero(weights > LEAST_WEIGHT)
-    rows = [{name: search.pool[i].condition[name] for name in FOUND} for i in kept]
+    rows = [{name: deepcopy(search.pool[i].condition[name]) for name in FOUND} for i in kept]
+    for row in rows:
+        noise = row["development"]["noise"]
+        noise["full_well"] = max(noise["full_well"], LEAST_WELL)
     return Conditions(rows, [*weights[kept]], BETWEEN, binding=False)
 
 
@@ -158,17 +179,19 @@ def main(
     folder: Path | None = None,
     cameras_csv: Path | None = None,
     path: Path | None = None,
+    own: Path | None = None,
 ) -> None:
     """Find, tell, save, and write."""
     torch.set_num_threads(1)
     numbers, names, groups = load_photographs()
-    photographs = Reference(numbers, groups)
+    photographs = load_folder(own, names) if own else Reference(numbers, groups)
     cameras = load_cameras(cameras_csv, names) if cameras_csv else None
     scenes = list(sources(folder))
     order = np.random.default_rng(0).permutation(len(scenes))
     images, maps = zip(*(scenes[i] for i in order), strict=True)
     # with lamps tried, too, and left to `RandomLight`, cameras are reached less (.64 for .69)
-    wide = uwaug.RandomUnderwater(light=uwaug.RandomLight(share=0.0), conditions=None)
+    day, camera = uwaug.RandomLight(share=0.0), uwaug.RandomDevelopment(noise=NOISE)
+    wide = uwaug.RandomUnderwater(light=day, development=camera, conditions=None)
     search = Search(wide, list(images), list(maps), seed=0)
     search.draw(20 if quick else TRIED, PICTURES)
     results = dict[str, Any]()
@@ -181,16 +204,17 @@ def main(
         return draws(uwaug.RandomUnderwater(conditions=conditions), folder, EACH, 9)
 
     every = photographs, cameras
-    tell("by hand", drawn_by_hand(folder), *every)
-    tell("ranges alone", draws_in(None), *every)
-    for half in (0, 1):
+    for half in () if own else (0, 1):
         learnt, left_out = (
             (photographs.half(part), cameras and cameras.half(part)) for part in (half, 1 - half)
         )
         tell(f"half {1 - half}, left out", draws_in(found(search, *learnt)), *left_out)
     conditions = found(search, *every)
-    tell("all", draws_in(conditions), *every)
-    if folder and not quick:
+    if not own:
+        tell("by hand", drawn_by_hand(folder), *every)
+        tell("ranges alone", draws_in(None), *every)
+        tell("conditions of all", draws_in(conditions), *every)
+    if folder and not quick and not own:
         counts = {"tried": TRIED, "conditions": len(conditions.rows)}
         save("conditions", {**counts, "photographs": results})
     if path:
@@ -206,5 +230,6 @@ if __name__ == "__main__":
     parser.add_argument("--sources", type=Path)
     parser.add_argument("--cameras", type=Path)
     parser.add_argument("--write", type=Path)
+    parser.add_argument("--photographs", type=Path)
     given = parser.parse_args()
-    main(given.quick, given.sources, given.cameras, given.write)
+    main(given.quick, given.sources, given.cameras, given.write, given.photographs)

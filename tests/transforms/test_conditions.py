@@ -37,7 +37,7 @@ def test_defaults_are_conditions_of_photographs_and_lie_in_the_ranges() -> None:
             low, high = ranges[name]
             assert low <= numbers[name] <= high
         well, contents = numbers["noise"]["full_well"], numbers["waters"][0]
-        assert 1000 <= well <= 1e6
+        assert 5000 <= well <= 1e6
         assert RandomWater().by_name[RandomWater().names[0]].holds(contents)
     tones = {row["development"]["tone"] for row in photographed().rows}
     samples = drawn(RandomUnderwater(), 200)

@@ -69,7 +69,7 @@ class Conditions:
 
     def _row(self, share: float) -> Mapping[str, Any]:
         sums = vars(self)["_sums"]
-        return self.rows[bisect_right(sums, share * sums[-1])]
+        return self.rows[bisect_right(sums, share * sums[-1], hi=len(sums) - 1)]
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({len(self.rows)} rows)"

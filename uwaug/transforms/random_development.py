@@ -11,7 +11,7 @@ from uwaug.formation.development import DOMAINS, Development
 from uwaug.formation.sensor import Sensor
 from uwaug.transforms.measured import Measured
 
-_SENSOR = Sensor((1e3, 1e6))  # from dim frames of an action camera to pictures made small
+_SENSOR = Sensor((5e3, 1e6))  # from dim frames of an action camera to pictures made small
 
 
 @codec.plain
