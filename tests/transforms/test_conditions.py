@@ -11,6 +11,7 @@ from augmenting import flat
 from uwaug import RandomUnderwater, RandomWater
 from uwaug.transforms import Conditions, RandomDevelopment
 from uwaug.transforms.conditions import OF_DEVELOPMENT, OF_WATER, mixed, photographed
+from uwaug.transforms.random_water import WATERS
 
 IMAGE = torch.zeros(3, 8, 8)
 
@@ -30,15 +31,14 @@ def test_numbers_of_a_condition_stay_together() -> None:
 
 
 def test_defaults_are_conditions_of_photographs_and_lie_in_the_ranges() -> None:
-    ranges = {**RandomWater().ranges(), **RandomDevelopment().ranges()}
+    water, camera, sensor = RandomWater(), RandomDevelopment(), RandomDevelopment.noise
+    ranges = {**water.ranges(), **camera.ranges(), **sensor.ranges()}
     for row in photographed().rows:
-        numbers = {**row["water"], **row["development"]}
-        for name in (*OF_WATER, *OF_DEVELOPMENT):
+        numbers = {**row["water"], **row["development"], **row["development"]["noise"]}
+        for name in (*OF_WATER, *OF_DEVELOPMENT, "full_well"):
             low, high = ranges[name]
             assert low <= numbers[name] <= high
-        well, contents = numbers["noise"]["full_well"], numbers["waters"][0]
-        assert 5000 <= well <= 1e6
-        assert RandomWater().by_name[RandomWater().names[0]].holds(contents)
+        assert WATERS.holds(numbers["waters"][0])
     tones = {row["development"]["tone"] for row in photographed().rows}
     samples = drawn(RandomUnderwater(), 200)
     assert min(tones) <= min(s["development.tone"] for s in samples)
