@@ -44,7 +44,7 @@ OWN = "hou-2020"
 DEPTHS = (0.0, 5.0, 10.0, 20.0, 30.0)
 """m below the surface, of the red tank in type II; a diver is some .7 to 2 m away from it."""
 
-HERO = {"reef": 21, "coffee": 9, "chelsea": 28}
+HERO = {"reef": 100, "coffee": 109, "chelsea": 106}
 """Seeds, chosen by eye."""
 
 GREEN, RED = torch.eye(3)[:, 1:2], torch.eye(3)[:, :1]
