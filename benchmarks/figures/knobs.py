@@ -55,7 +55,7 @@ def values() -> dict[str, tuple[Any, ...]]:
 
 def transform(name: str, value: Any, width: int) -> RandomUnderwater:
     """Fixed in all but one."""
-    middles: dict[str, Any] = {}
+    middles: dict[str, Any] = {"noise": None}
     for own, ends in RandomDevelopment().ranges().items():
         assert isinstance(ends, tuple)
         middles[own] = sum(ends) / 2

@@ -62,6 +62,7 @@ def twin(water: str, settings: dict[str, float]) -> uwaug.RandomUnderwater:
             saturation=camera["saturation"],
             gamut=camera["gamut"],
             tone=camera["tone"],
+            noise=None,
         ),
     )
 

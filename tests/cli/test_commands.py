@@ -227,8 +227,7 @@ def test_pictures_like_a_photograph(folder, run, monkeypatch):
     recipe = json.loads((folder / "wet/a.png.json").read_text())["recipe"]
     transform = uwaug.RandomUnderwater.from_dict(recipe["transform"])
     contrasts = [row["water"]["contrast"] for row in transform.conditions.rows]
-    assert len(contrasts) == 2
-    assert all(0.2 <= contrast <= 0.5 for contrast in contrasts)
+    assert [0.2 <= contrast <= 0.5 for contrast in contrasts] == [True, True]
     # a folder, and more of them; the real ones stand on the sheet
     (folder / "dives/more").mkdir(parents=True)
     for name in ("dives/a.png", "dives/more/b.png"):
@@ -570,8 +569,7 @@ def test_a_film_without_maps_is_a_plane(folder, run):
     assert "made up from each frame would flicker" in out
     records = [json.loads(path.read_text()) for path in (folder / "wet").glob("*.png.json")]
     samples = [record["params"]["samples"][0] for record in records]
-    seeds = {sample["development"]["noise"].pop("seed") for sample in samples}
-    assert len(seeds) == 2
+    assert len({sample["development"]["noise"].pop("seed") for sample in samples}) == 2
     for noun in ("water", "distance", "light", "development"):
         assert samples[0][noun] == samples[1][noun]
     assert 1 <= samples[0]["distance"]["distance"] <= 5

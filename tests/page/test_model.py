@@ -28,8 +28,6 @@ from uwaug.transforms.conditions import photographed
 HEIGHT, WIDTH = 40, 52
 WATERS, PICTURES = 16, 4
 MIXTURE = {"water", "other", "share"}
-
-
 CONTENTS = {"chlorophyll": (0.1, 20), "cdom": (0.02, 3), "minerals": (0.02, 5)}
 OF_WATER = {
     "contrast": (0.05, 0.9),

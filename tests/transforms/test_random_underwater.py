@@ -310,8 +310,7 @@ def test_a_scene_without_a_size_ends_where_its_water_leaves_so_much(
     record = aug.make_params(picture(8), seeded(1))
     for sample in record["samples"]:
         sample["distance"] |= {"near_left": 0.6, "far_left": 0.04}
-        if water is None:  # so clear that no end is held
-            sample["water"]["clearness"] = 0.4
+        sample["water"] |= {"clearness": 0.4} if water is None else {}  # neither end is held
     scenes = aug.scenes(picture(8), t if distance.reads_maps else None, record)
     for i, metres in enumerate(scenes.metres):
         water = scenes.clarity(i).water
