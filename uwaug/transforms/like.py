@@ -76,7 +76,7 @@ def like(
     Examples:
         >>> import torch
         >>> pictures, distance = torch.rand(2, 3, 32, 48), torch.full((2, 1, 32, 48), 3.0)
-        >>> wet, _ = RandomUnderwater("7C").at(seed=0, epoch=0, index=0)(pictures, distance)
+        >>> wet, _ = RandomUnderwater.severity(3).at(seed=0, epoch=0, index=0)(pictures, distance)
         >>> augment = like(wet[0], pictures, distance, draws=30, keep=2)
         >>> degraded, _ = augment(pictures, distance)
     """
