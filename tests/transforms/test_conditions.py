@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -87,3 +88,20 @@ def test_between_two_conditions() -> None:
 def test_weights_are_one_for_each(weights: Any) -> None:
     with pytest.raises(ValueError, match="weights must be one for each"):
         Conditions([{}, {}], weights)
+
+
+def test_a_file_of_ones_own_is_read_as_the_default_one(tmp_path: Path) -> None:
+    head = "weight,chlorophyll,cdom,minerals,clearness,vertical_depth,mu,color_matrix,exposure,"
+    head += "white_balance,saturation,gamut,tone,full_well\n"
+    (tmp_path / "own.csv").write_text(head + "1,2,.3,.1,.5,7,.1,.5,0,.2,1.1,.9,1.2,30000\n")
+    augment = RandomUnderwater(
+        RandomWater(color_matrix=0.2), conditions=Conditions.read(tmp_path / "own.csv")
+    )
+    (sample,) = drawn(augment)
+    assert (sample["water.vertical_depth"], sample["development.tone"]) == (7.0, 1.2)
+    assert sample["water.color_matrix"] == 0.2
+    (tmp_path / "own.csv").write_text(head.replace("tone,", "") + "1,2\n")
+    with pytest.raises(ValueError, match=r"own.csv: expected numbers in weight, chlor.*tone"):
+        Conditions.read(tmp_path / "own.csv")
+    with pytest.raises(TypeError, match=r"conditions must be.*Conditions.read"):
+        RandomUnderwater(conditions="own.csv")  # type: ignore[arg-type]

@@ -1,6 +1,7 @@
 """Conditions: numbers of water, light and camera that belong together."""
 
 import csv
+import os
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from uwaug._support import codec
+from uwaug._support.atomic import read_text
 from uwaug._support.nouns import Uniform
 from uwaug.optics.constituents import UNITS
 from uwaug.transforms.appearance import Nearness
@@ -59,6 +61,21 @@ class Conditions:
             raise ValueError(f"weights must be one for each condition, none below 0, got {got}")
         vars(self)["_sums"] = list(accumulate(weights))
 
+    @staticmethod
+    def read(path: str | os.PathLike[str]) -> "Conditions":
+        """Read a CSV file with the columns of conditions.csv, as the benchmark of conditions writes
+        it (`--write`). Options that are set win over them. ValueError if a column is missing, but
+        for contents, which are 0 then, or a number is none.
+        """
+        lines = csv.DictReader(read_text(Path(path)).splitlines())
+        none = dict.fromkeys(UNITS, 0.0)
+        try:
+            numbers = [{n: float((none | line)[n]) for n in COLUMNS} for line in lines]
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path}: expected numbers in {', '.join(COLUMNS)}: {error}") from None
+        weights = [row["weight"] for row in numbers]
+        return Conditions([*map(_row_of, numbers)], weights, BETWEEN, binding=False)
+
     def picked(self, uniform: Uniform) -> Mapping[str, Any]:
         """The condition of one picture."""
         row = self._row(uniform("condition"))
@@ -78,18 +95,14 @@ class Conditions:
 @cache
 def photographed() -> Conditions:
     """Conditions in which draws look like photographs and the frames of machines' cameras. How they
-    were found: benchmarks/README.md, conditions.
+    were found: benchmarks/README.md, accuracy.
     """
-    with _PHOTOGRAPHED.open(newline="") as file:
-        lines = csv.DictReader(file)
-        numbers = [{name: float(text) for name, text in line.items()} for line in lines]
-    weights = [row["weight"] for row in numbers]
-    return Conditions([*map(row_of, numbers)], weights, BETWEEN, binding=False)
+    return Conditions.read(_PHOTOGRAPHED)
 
 
-def row_of(numbers: Mapping[str, float]) -> dict[str, Any]:
+def _row_of(numbers: Mapping[str, float]) -> dict[str, Any]:
     """The condition of the numbers in `COLUMNS`."""
-    water = {"waters": [{name: numbers.get(name, 0.0) for name in UNITS}]}
+    water = {"waters": [{name: numbers[name] for name in UNITS}]}
     development = {name: numbers[name] for name in OF_DEVELOPMENT}
     return {
         "water": water | {name: numbers[name] for name in OF_WATER},

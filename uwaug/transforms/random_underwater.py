@@ -137,8 +137,9 @@ class RandomUnderwater(SampleTransform):
         self._nouns: dict[str, Any] = dict(zip(NOUNS, nouns, strict=True))
         self.conditions = photographed() if conditions == "photographed" else conditions
         self._set = dict[str, set[str]]()  # options that win over conditions, by noun
+        if self.conditions is not None:
+            checks.instance("conditions", self.conditions, Conditions, "; see Conditions.read")
         if self.conditions and self.conditions.binding:
-            checks.instance("conditions", self.conditions, Conditions)
             sample = self._sample(Uniform(bytes(8)))
             for row in self.conditions.rows:
                 read_draws({"samples": [laid_over(sample, row)]}, 1, self._nouns)
