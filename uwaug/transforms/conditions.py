@@ -110,19 +110,23 @@ def _row_of(numbers: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def mixed(first: Any, second: Any, share: float, logarithmic: bool = False) -> Any:
+def mixed(first: Mapping[str, Any], second: Mapping[str, Any], share: float) -> dict[str, Any]:
     """Numbers a share of the way from one condition to another; all else is the first's."""
-    if isinstance(first, float) and isinstance(second, float):
-        is_ratio = logarithmic and first > 0 and second > 0
-        return first * (second / first) ** share if is_ratio else first + share * (second - first)
-    if isinstance(first, Mapping) and isinstance(second, Mapping):
-        return {
-            name: mixed(value, second.get(name), share, name in _LOGARITHMIC)
-            for name, value in first.items()
-        }
-    if isinstance(first, (list, tuple)) and isinstance(second, (list, tuple)):
-        return [mixed(*pair, share) for pair in zip(first, second, strict=False)]
-    return first
+    numbers = dict(first)
+    for name, value in first.items():
+        other: Any = second.get(name)
+        if type(value) is type(other) is float:
+            if name in _LOGARITHMIC and min(value, other) > 0:
+                numbers[name] = value * (other / value) ** share
+            else:
+                numbers[name] = value + share * (other - value)
+        elif isinstance(value, dict) and isinstance(other, dict):
+            numbers[name] = mixed(value, other, share)
+        elif name == "waters" and other:  # contents, or names
+            pairs = zip(value, other, strict=True)
+            both = [pair for pair in pairs if all(isinstance(water, dict) for water in pair)]
+            numbers[name] = [mixed(*pair, share) for pair in both] or value
+    return numbers
 
 
 def laid_over(sample: Mapping[str, Any], condition: Mapping[str, Any]) -> dict[str, Any]:
@@ -130,6 +134,6 @@ def laid_over(sample: Mapping[str, Any], condition: Mapping[str, Any]) -> dict[s
     merged = dict(sample)
     for name, value in condition.items():
         # daylight and lamps have other numbers
-        is_table = isinstance(value, Mapping) and name in sample and name != "light"
+        is_table = isinstance(value, dict) and name in sample and name != "light"
         merged[name] = laid_over(sample[name], value) if is_table else value
     return merged
