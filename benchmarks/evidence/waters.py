@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+import uwaug
 from benchmarks.evidence import sets, tasks
 from benchmarks.evidence.arms import ARMS, DEFAULTS, Arm, degraded, jitter, none, ours
 from benchmarks.evidence.net import answers, keeper, table, trained
@@ -45,12 +46,18 @@ def jittered_water() -> Arm:
     return arm
 
 
+def planes() -> Arm:
+    """The defaults on planes, whatever distances are guessed."""
+    augment = uwaug.RandomUnderwater(distance=(0.5, 4.0))
+    return lambda images, distances: augment(images)
+
+
 ON_TOP: dict[str, Callable[[], Arm]] = {
     AS_THEY_ARE: lambda: none,
     "jitter, blur": ARMS["jitter, blur"],
     "by hand": ARMS["by hand"],
     DEFAULTS: ours,
-    "a plane, .5 to 4 m": lambda: ours(distance=(0.5, 4.0)),
+    "a plane, .5 to 4 m": planes,
     "RandomUnderwater(), then jitter": jittered_water,
 }
 
