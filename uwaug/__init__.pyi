@@ -33,6 +33,7 @@ from .optics import load_camera as load_camera
 from .optics import load_water as load_water
 from .presets import list_presets as list_presets
 from .presets import load_preset as load_preset
+from .transforms import Conditions as Conditions
 from .transforms import KeepVisible as KeepVisible
 from .transforms import RandomDevelopment as RandomDevelopment
 from .transforms import RandomLight as RandomLight

@@ -53,10 +53,10 @@ class RandomUnderwater(SampleTransform):
         development: a `RandomDevelopment`: what the camera does, and the colour space.
         view: of the camera, a `uwaug.View` or its angle in degrees. Of a crop give that of the
             crop, see `uwaug.View.crop`.
-        conditions: `Conditions`, of which each picture takes one: numbers of water and camera that
-            belong together. By default those of photographs, for options that are left out; one
-            that is set leaves the rest of the condition as it is, and a water that is named is as
-            clear as in nature. None: each range is drawn on its own.
+        conditions: `uwaug.Conditions`, of which each picture takes one: numbers of water and camera
+            that belong together. By default those of photographs, for options that are left out;
+            one that is set leaves the rest of the condition as it is, and a water that is named is
+            as clear as in nature. None: each range is drawn on its own.
         p: probability that a picture is degraded at all.
         keys: names of image and map in a dict.
 
