@@ -29,11 +29,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 from scipy.spatial.distance import cdist
 
 import uwaug
-from benchmarks.accuracy.draws import draws, sources
+from benchmarks.accuracy.draws import draws, picture_of, sources
+from benchmarks.accuracy.like import judged
 from benchmarks.accuracy.photographs import (
     Numbers,
     Picture,
@@ -44,6 +44,8 @@ from benchmarks.accuracy.photographs import (
 )
 from benchmarks.evidence.arms import by_hand
 from benchmarks.harness import save
+from uwaug.files import read_picture
+from uwaug.files.search import pictures_in
 from uwaug.transforms.appearance import WATER_FEATURES
 from uwaug.transforms.conditions import BETWEEN, COLUMNS, Conditions
 from uwaug.transforms.like import Search
@@ -83,14 +85,8 @@ def load_cameras(path: Path, names: list[str]) -> Reference:
 
 def load_folder(folder: Path, names: list[str]) -> Reference:
     """Numbers of the photographs in a folder, in the order of `names`."""
-    rows = []
-    for path in sorted(folder.glob("*.*")):
-        picture = Image.open(path).convert("RGB")
-        scale = 256 / min(picture.size)
-        numbers = numbers_of(
-            np.array(picture.resize([round(scale * side) for side in picture.size]))
-        )
-        rows.append([numbers[name] for name in names])
+    numbers = [judged(read_picture(path), 256) for path in pictures_in(folder)]
+    rows = [[of_picture[name] for name in names] for of_picture in numbers]
     return Reference(np.array(rows), np.array([folder.name] * len(rows)))
 
 
@@ -164,7 +160,7 @@ def drawn_by_hand(folder: Path | None) -> Iterator[Picture]:
     for image, distance in sources(folder):
         for _ in range(EACH):
             (out,) = by_hand(image[None], distance[None])
-            yield (out.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()
+            yield picture_of(out)
 
 
 def line_of(weight: float, condition: Any) -> list[str]:

@@ -40,4 +40,9 @@ def draws(
     for index, (image, distance) in enumerate(sources(folder)):
         for draw in range(each):
             out, _ = augment.at(seed=seed, epoch=index, index=draw)(image, distance)
-            yield (out * 255).round().byte().permute(1, 2, 0).numpy()
+            yield picture_of(out)
+
+
+def picture_of(values: Tensor) -> Picture:
+    """A picture (3xHxW, 0…1) as bytes (HxWx3)."""
+    return (values.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()

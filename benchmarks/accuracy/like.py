@@ -38,7 +38,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 import uwaug
-from benchmarks.accuracy.draws import sources
+from benchmarks.accuracy.draws import picture_of, sources
 from benchmarks.accuracy.photographs import numbers_of
 from benchmarks.harness import save
 from uwaug.transforms.appearance import WATER_FEATURES
@@ -79,13 +79,13 @@ def references(folder: Path | None) -> tuple[list[Tensor], list[Tensor]]:
     return [photographs[i] for _, _, i in sorted(ranked)[:REFERENCES]], photographs
 
 
-def judged(picture: Tensor) -> dict[str, float]:
-    """The 26 numbers of a picture (3xHxW: uint8, or 0…1), small."""
+def judged(picture: Tensor, short: int = SHORT) -> dict[str, float]:
+    """The 26 numbers of a picture (3xHxW: uint8, or 0…1), with a short side of so many px."""
     values = picture.float() / (255 if picture.dtype == torch.uint8 else 1)
-    scale = SHORT / min(values.shape[-2:])
+    scale = short / min(values.shape[-2:])
     size = [round(scale * side) for side in values.shape[-2:]]
-    small = interpolate(values[None], size, mode="bilinear", antialias=True)[0].clamp(0, 1)
-    return numbers_of((small * 255).round().byte().permute(1, 2, 0).numpy())
+    small = interpolate(values[None], size, mode="bilinear", antialias=True)[0]
+    return numbers_of(picture_of(small))
 
 
 def transferred(picture: Tensor, reference: Tensor) -> Tensor:

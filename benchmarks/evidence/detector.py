@@ -18,6 +18,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -83,11 +84,14 @@ def fog() -> Arm:
     return arm
 
 
-VISIBLE = "KeepVisible(RandomUnderwater())"
 NAMES = (
     *("no water", "jitter, blur", "by hand", "RandomFog", "Li 2020"),
-    *(DEFAULTS, "p=0.5", VISIBLE, "uwaug.like", "SLURPP 2025", "colour transfer"),
+    *(DEFAULTS, "p=0.5", "uwaug.like", "SLURPP 2025", "colour transfer"),
 )
+
+VISIBLE = "KeepVisible(RandomUnderwater())"
+OF_BOXES = (*NAMES, VISIBLE)
+"""What is told of boxes; `NAMES` change pictures alone."""
 
 
 def made(name: str, shown: list[Array], scenes: list[Scene], maps: list[Tensor]) -> Arm:
@@ -172,7 +176,8 @@ def tuned(
     for step in range(steps):
         pictures, truths = [], []
         for place in range(step * BATCH, (step + 1) * BATCH):
-            picture, *truth = window(*drawn[draws[place] * count + order[place]], rng)
+            square, boxes, classes = drawn[draws[place] * count + order[place]]
+            picture, *truth = window(square, boxes, classes, rng)
             pictures.append(picture.flip(0) * 255)  # BGR
             truths.append(truth)
         batch = torch.stack(pictures).to(memory_format=torch.channels_last)
@@ -234,19 +239,29 @@ class Bench(NamedTuple):
         counts = np.array([len(sample.boxes) for sample in self.tests[name]])
         return average_precisions(hits, counts, weights)
 
-    def table(self, name: str, answers: dict[str, list[Array]]) -> dict[str, Any]:
-        """Of each arm: AP50, and the difference to the defaults."""
+    def kept(self, path: Path, ask: Callable[[], dict[str, Array]]) -> dict[str, Array]:
+        """What a net finds in each test set, kept in a file and asked once."""
+        if not path.exists():
+            found: dict[str, Any] = {n.replace("/", " "): rows for n, rows in ask().items()}
+            np.savez(path, **found)
+        with np.load(path) as rows:
+            return {name: rows[name.replace("/", " ")] for name in self.tests}
+
+    def table(
+        self, name: str, answers: dict[str, list[dict[str, Array]]], reference: str
+    ) -> dict[str, Any]:
+        """Of each arm: AP50 in a test set, and the difference to the reference."""
         often = resampled_units(self.blocks[name])
         weights = np.concatenate([np.ones_like(often[:1]), often])
         scores = {
-            arm: np.stack([self.scores(name, net, weights) for net in nets])
+            arm: np.stack([self.scores(name, net[name], weights) for net in nets])
             for arm, nets in answers.items()
         }
-        return compared(scores, DEFAULTS if DEFAULTS in scores else UNTUNED)
+        return compared(scores, reference)
 
 
 def main(
-    kit: Path, arms: Sequence[str] = NAMES, nets: int = 1, answered: Path | None = None
+    kit: Path, arms: Sequence[str] = OF_BOXES, nets: int = 1, answered: Path | None = None
 ) -> dict[str, Any]:
     """Tune, score, save and print. What a net finds is kept in `answered`, and asked once."""
     torch.set_num_threads(1)
@@ -254,17 +269,11 @@ def main(
         bench = Bench.of(kit)
         answers = {UNTUNED: [bench.found(bench.yolox.load())]}
         for arm, seed in product(arms, range(nets)):
-            path = folder / f"{arm}, {seed}.npz"
-            if not path.exists():
-                found = asked(bench, arm, RATE, seed)
-                np.savez(path, **{name.replace("/", " "): rows for name, rows in found.items()})
-            with np.load(path) as found:
-                of_net = {name: found[name.replace("/", " ")] for name in TESTS}
+            ask = partial(asked, bench, arm, RATE, seed)
+            of_net = bench.kept(folder / f"{arm}, {seed}.npz", ask)
             answers.setdefault(arm, []).append(of_net)
-        tables = {
-            name: bench.table(name, {arm: [net[name] for net in of] for arm, of in answers.items()})
-            for name in TESTS
-        }
+    reference = DEFAULTS if DEFAULTS in answers else UNTUNED
+    tables = {name: bench.table(name, answers, reference) for name in TESTS}
     counts = {
         name: {"pictures": len(some), "boxes": sum(len(x.boxes) for x in some)}
         for name, some in bench.tests.items()
@@ -327,7 +336,7 @@ def parser(about: str | None, arms: Sequence[str] = NAMES) -> argparse.ArgumentP
 
 
 if __name__ == "__main__":
-    flags = parser(__doc__)
+    flags = parser(__doc__, OF_BOXES)
     flags.add_argument("--choose", action="store_true", help="length and step, by the dry arm")
     given = flags.parse_args()
     if given.choose:

@@ -132,16 +132,17 @@ def asked(
     return given
 
 
-def printed(title: str, rows: dict[str, Any]) -> None:
+def printed(title: str, rows: dict[str, Any], reference: str = "the defaults") -> None:
     """The table of a test set."""
-    print(f"\n{title}: score, its nets; less the defaults', by blocks, by films; choose, judge")
+    less = f"less that of {reference}, by blocks, by films"
+    print(f"\n{title}: score, its nets; {less}; choose, judge")
     for arm, row in rows.items():
         nets = " ".join(f"{net:.3f}" for net in row["nets"])
         between = " ".join("({:+.3f} … {:+.3f})".format(*row[kind]) for kind in ("blocks", "films"))
         parts = " ".join("–" if row[part] is None else f"{row[part]:.3f}" for part in PARTS)
         recalls = " / ".join(f"{recall:.2f}" for recall in row.get("recalls", []))
         means = f"{row['score']:.3f} ({nets})  {row['difference']:+.3f}"
-        print(f"{arm:20}{means} {between}  {parts}  {recalls}", flush=True)
+        print(f"{arm:32}{means} {between}  {parts}  {recalls}", flush=True)
 
 
 def command() -> None:

@@ -25,6 +25,7 @@ from benchmarks.evidence.arms import ARMS, DEFAULTS, Arm, degraded, jitter, none
 from benchmarks.evidence.net import answers, keeper, table, trained
 from benchmarks.evidence.sets import Crops, Sets
 from benchmarks.evidence.tasks import Array
+from benchmarks.evidence.training import printed
 from benchmarks.harness import save
 
 STEPS = 800  # of 64 crops
@@ -102,11 +103,7 @@ def measured(real: Sets, arms: list[str], nets: int, answered: Path) -> dict[str
                     of_tests[test].setdefault(arm, []).append(of_net)
         for test, of_arms in of_tests.items():
             tables[f"{name} → {test}"] = table(of_arms, tests[test], AS_THEY_ARE)
-            print(f"{name} → {test} ({len(tests[test].labels)} crops)")
-            for arm, row in tables[f"{name} → {test}"].items():
-                spans = ["{:+.3f} … {:+.3f}".format(*row[kind]) for kind in ("blocks", "films")]
-                spread = " ".join(f"{of_net:.3f}" for of_net in row["nets"])
-                print(f"  {arm:32}{row['score']:.3f} ({spread})  {'  '.join(spans)}", flush=True)
+            printed(f"{name} → {test}", tables[f"{name} → {test}"], AS_THEY_ARE)
     return tables
 
 
