@@ -282,6 +282,18 @@ def test_a_preset_takes_distances_of_all_kinds(folder, run, preset, flags, sourc
     assert transform.to_dict() == wanted.to_dict()
 
 
+@pytest.mark.parametrize(
+    ("flags", "source"), [("", Plane((0.5, 4.0))), ("--distance made-up", MadeUp())]
+)
+def test_a_preset_that_reads_no_maps_has_distances(folder, run, flags, source):
+    line = ("degrade", "photos/a.png", "--preset", "wet", *flags.split(), "--out", "wet")
+    code, out, err = run(*line)
+    assert (code, err) == (0, "")
+    assert "guessed" not in out.split("\n")[1] or flags
+    transform = json.loads((folder / "wet/a.png.json").read_text())["recipe"]["transform"]
+    assert uwaug.RandomUnderwater.from_dict(transform).distance == source
+
+
 @pytest.mark.parametrize("preset", ["survey", "tank-proposed-1"])
 def test_the_file_of_a_preset_is_a_file_of_options(folder, run, preset):
     np.save("t.npy", np.linspace(0, 1, 24 * 32).reshape(24, 32))
@@ -547,7 +559,7 @@ def test_waters_of_ones_own_are_listed_and_drawn(folder, run):
     assert run("compare", *scene, "--system", "jaffe-1990", "--system", "hou-2020")[0] == 0
 
 
-@pytest.mark.parametrize("name", sorted({*uwaug.list_presets()} - {"night"}))
+@pytest.mark.parametrize("name", sorted({*uwaug.list_presets()} - {"night", "wet"}))
 def test_what_is_shown_of_a_preset_is_its_file(run, tmp_path, name):
     code, out, _ = run("preset", "show", name)
     assert code == 0

@@ -19,7 +19,7 @@ from uwaug.optics.view import WIDE
 from uwaug.presets import list_presets, load_preset
 from uwaug.presets.files import preset_path
 
-NAMES = sorted({*list_presets()} - {"night"})  # which differs from picture to picture
+NAMES = sorted({*list_presets()} - {"night", "wet"})  # which differ from picture to picture
 KEPT = np.load(Path(__file__).parent.parent / "data" / "presets.npz")
 IMAGE, T, FIELD = (torch.from_numpy(KEPT[key]) for key in ("image", "t", "field"))
 
@@ -135,6 +135,15 @@ def test_calibrated_has_the_calibrated_law():
 
 
 @pytest.mark.filterwarnings("ignore:less than 3 % of the contrast")
+def test_wet_pictures_get_water_in_two_of_three_draws():
+    augment = load_preset("wet")
+    image = torch.rand(3, 12, 16)
+    wet = sum(augment.at(0, 0, i)(image) is not image for i in range(300))
+    assert 170 < wet < 230
+    least, most = augment.distance.reach()
+    assert 0 < least < most < 5
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_pictures_of_presets(name):
     preset = load_preset(name)

@@ -172,7 +172,7 @@ def degrade(
         is_contrast = "contrast" in _options(None, False, options, *named)["water"]
         if severity is not None and (is_contrast or like):
             raise ValueError("--severity is a contrast: give no contrast and no --like with it")
-        values = _options(preset, plain, options, *named)
+        values = _options(preset, plain, options, *named, is_told=distance is not None)
         if view_of := view_table(view, focal_px):
             values["view"] = view_of
         run_values = {name: values.pop(name) for name in _RUN_OPTIONS if name in values}
@@ -290,8 +290,12 @@ def _options(
     settings: Sequence[str],
     waters: Sequence[str],
     contrast: str | None,
+    *,
+    is_told: bool = False,
 ) -> dict[str, Any]:
-    """Options of `RandomUnderwater` as plain values; later arguments replace earlier ones."""
+    """Options of `RandomUnderwater` as plain values; later arguments replace earlier ones, and
+    distances that the run is told those of a preset.
+    """
     from uwaug.presets.preset import load_preset
     from uwaug.transforms import RandomDevelopment, RandomWater
 
@@ -303,8 +307,10 @@ def _options(
         options = {**{name: dict(values) for name, values in nouns.items()}, "light": None}
     if preset is not None:
         changes = {"water": waters[0]} if waters else {}
-        options |= load_preset(preset, **changes).to_dict()
-        options.pop("distance", None)  # it is of the preset's maps
+        transform = load_preset(preset, **changes)
+        options |= transform.to_dict()
+        if is_told or transform.distance.reads_maps:  # which are of the preset's own pictures
+            options.pop("distance", None)
     options = with_tables(options, file)
     if waters:
         options["water"]["waters"] = list(waters)
