@@ -16,7 +16,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.stats import spearmanr
 from torch import Tensor
 
-from benchmarks.depth import pairs, people
+from benchmarks.depth import pairs
 from uwaug import RandomUnderwater
 from uwaug._support.ranges import as_range
 from uwaug.distance import cue
@@ -120,25 +120,6 @@ def judged(way: Way, some: list[pairs.Pair], seeds: int = 1) -> dict[str, Any]:
     }
 
 
-def together(way: Way, folder: Path) -> float:
-    """Share of persons to judge by (`people.csv`) whose head lies where their trunk does: the
-    medians of the logarithm in the middle third of the uppermost fifth of a box, and of its second
-    and third fifth, differ by less than .15 of the map's span (1st to 99th percentile). Half a head
-    or trunk in open water is none.
-    """
-    found = []
-    for number, (name, line) in enumerate(people.chosen("judge")):
-        picture, boxes = people.photograph(folder, name)
-        log = np.log(way(torch.from_numpy(picture.copy()).permute(2, 0, 1), number))
-        top, left, bottom, right = boxes[line][1].clip(0)
-        tall, third = bottom - top, (right - left) // 3
-        ends = [(top, top + tall // 5), (top + tall // 5, top + 3 * tall // 5)]
-        head, trunk = (np.median(log[a:b, left + third : right - third]) for a, b in ends)
-        span = np.ptp(np.percentile(log[np.isfinite(log)], (1, 99)))
-        found.append(bool(np.isfinite(head + trunk)) and abs(head - trunk) < 0.15 * span)
-    return float(np.mean(found))
-
-
 def milliseconds(side: int, rounds: int = 30) -> tuple[float, float]:
     """Of `MadeUp` for a picture of so many pixels in the square, and of a draw with its map, turn
     by turn; medians.
@@ -173,7 +154,6 @@ def main(
     quick: bool,
     folders: tuple[Path, ...] = (),
     only: tuple[str, ...] = (),
-    persons: Path | None = None,
 ) -> None:
     """Print the table."""
     torch.set_num_threads(1)
@@ -181,8 +161,6 @@ def main(
     some = [pair for pair in some if not only or pair.source in only]
     for name, (way, seeds) in ways().items() if some else ():
         print(name, judged(way, some[::20] if quick else some, seeds), flush=True)
-    for name, (way, _) in ways().items() if persons else ():
-        print(f"{name}: of {together(way, persons):.1%} of persons head and trunk lie together")
     for side in (512, 1024):
         distances, pictures = milliseconds(side, 5 if quick else 30)
         print(f"{side}²: {distances:.1f} ms, and {pictures:.1f} ms for a draw with the map")
@@ -193,6 +171,5 @@ if __name__ == "__main__":
     parser.add_argument("--quick", action="store_true", help="little of everything")
     parser.add_argument("--pairs", type=Path, nargs="*", default=(), help="folders of pairs")
     parser.add_argument("--sources", nargs="*", default=(), help="some of them, by name")
-    parser.add_argument("--persons", type=Path, help="photographs with boxes; see people.py")
     given = parser.parse_args()
-    main(given.quick, tuple(given.pairs), tuple(given.sources), given.persons)
+    main(given.quick, tuple(given.pairs), tuple(given.sources))

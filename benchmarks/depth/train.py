@@ -6,10 +6,6 @@ scenes that are rendered meanwhile, by another process, in chunks of a folder (`
 scenes a step sees follows from its number alone, so that a run can be made again. Every thousand
 steps the mean of late weights is written; a run that was stopped goes on (`--resume`).
 
-With `--photographs` and `--cuts` a decoder that has learnt is tuned (`--start`, else the one in the
-package): by photographs and people as well. The one in the package is not, as that lost on other
-sources of pictures.
-
 `--compare` trains each variant for fewer steps, and judges it.
 """
 
@@ -30,14 +26,13 @@ from torch.nn.functional import (
     softplus,
 )
 
-from benchmarks.depth import measures, pairs, people, scenes
+from benchmarks.depth import measures, pairs, scenes
 from uwaug.distance import cue
 
 Array = np.ndarray[Any, Any]
 
 BATCH = 16
 LEARNING_RATE = 3e-3
-TUNING_RATE = 7e-4  # from a decoder that has learnt, without norms
 CHUNK = 64  # scenes of a file
 FIRST_CHUNKS = 12  # with which training begins
 STEPS_OF_CHUNK = 60  # after which another one joins
@@ -128,15 +123,6 @@ class Layers(nn.Module):
         return self.norms[key](x) if key in self.norms else x
 
     @torch.no_grad()
-    def load(self, weights: cue.Weights) -> None:
-        """Begin with folded weights."""
-        for key, layer in self.convolutions.items():
-            for values, learnt in zip(
-                layer.parameters(), weights[key.replace("/", ".")], strict=True
-            ):
-                values.copy_(learnt)
-
-    @torch.no_grad()
     def folded(self) -> cue.Weights:
         """Kernels and biases with the normalisation in them."""
         weights = {}
@@ -156,9 +142,7 @@ class Layers(nn.Module):
 class Network(nn.Module):
     """The network as it is trained."""
 
-    def __init__(
-        self, encoder: cue.Weights, settings: Settings, start: cue.Weights | None = None
-    ) -> None:
+    def __init__(self, encoder: cue.Weights, settings: Settings) -> None:
         super().__init__()
         self.encoder, self.frozen = None, encoder
         if not settings.is_frozen:
@@ -174,10 +158,7 @@ class Network(nn.Module):
             shapes[f"at{level}"] = (width, width, 3, 3)
             if level + 1 < len(widths):
                 shapes[f"up{level}"] = (width, widths[level + 1], 1, 1)
-        plain = tuple(shapes) if start else ("whole.in", "whole.out", "answer")
-        self.decoder = Layers(shapes, plain)
-        if start:
-            self.decoder.load(start)
+        self.decoder = Layers(shapes, plain=("whole.in", "whole.out", "answer"))
 
     def forward(self, pictures: Tensor) -> Tensor:
         """See `cue.decoded`."""
@@ -282,22 +263,7 @@ def _jittered(rng: np.random.Generator, picture: Array) -> Array:
     return picture.clip(0, 1)
 
 
-@dataclass
-class People:
-    """What a decoder that has learnt is tuned by: photographs with maps by itself that were mended,
-    and cut-outs to be put into these and scenes (`people.py`).
-    """
-
-    start: cue.Weights
-    photographs: list[people.Maps]
-    cuts: list[tuple[Array, bool]]
-    photograph_share: float = 0.15
-    most_pasted: int = 2
-
-
-def batch(
-    step: int, pool: Pool, more: People | None = None
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def batch(step: int, pool: Pool) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Pictures (Bx3xHxW); at half the size logarithms, their weights and what is open (BxHxW)."""
     rng = np.random.default_rng((step, 2))
     which = int(rng.integers(len(scenes.SHAPES)))
@@ -305,16 +271,10 @@ def batch(
     rows = []
     for _ in range(BATCH):
         number = rng.integers(CHUNK)
-        maps = tuple(values[number] for values in chunks[rng.integers(len(chunks))])
-        maps = (*maps, np.ones(maps[1].shape))
-        if more:
-            if rng.uniform() < more.photograph_share:
-                maps = more.photographs[rng.integers(len(more.photographs))]
-            for _ in range(rng.integers(more.most_pasted + 1)):
-                maps = people.pasted(rng, maps, *more.cuts[rng.integers(len(more.cuts))])
-        picture, log, is_open, weight = _cropped(rng, SHAPES[which], *maps)
+        maps = [values[number] for values in chunks[rng.integers(len(chunks))]]
+        picture, log, is_open = _cropped(rng, SHAPES[which], *maps)
         picture = _jittered(rng, picture).transpose(2, 0, 1)
-        rows.append([picture, log, np.where(is_open, OPEN_WEIGHT, 1) * weight, is_open])
+        rows.append([picture, log, np.where(is_open, OPEN_WEIGHT, 1), is_open])
     stacked = (np.stack(column).astype(np.float32) for column in zip(*rows, strict=True))
     pictures, logs, weights, is_open = map(torch.from_numpy, stacked)
     return pictures.contiguous(memory_format=torch.channels_last), logs, weights, is_open
@@ -359,15 +319,13 @@ def train(
     settings: Settings,
     out: Path,
     resume: bool = False,
-    more: People | None = None,
 ) -> cue.Weights:
     """Train the decoder and return folded weights, which are written to `out` now and then."""
     torch.manual_seed(0)
-    network = Network(encoder, settings, more and more.start).to(memory_format=torch.channels_last)
-    rate = TUNING_RATE if more else LEARNING_RATE
+    network = Network(encoder, settings).to(memory_format=torch.channels_last)
     decay = torch.optim.swa_utils.get_ema_multi_avg_fn(0.998)
     mean = torch.optim.swa_utils.AveragedModel(network, multi_avg_fn=decay, use_buffers=True)
-    optimiser = torch.optim.AdamW(network.parameters(), rate, weight_decay=1e-3)
+    optimiser = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=1e-3)
     stopped, first, losses, spent = out.with_suffix(".state.pt"), 0, [], 0.0
     if resume and stopped.exists():
         states = torch.load(stopped)
@@ -378,9 +336,9 @@ def train(
     for step in range(first, steps):
         fading = 0.02 + 0.98 * (0.5 + 0.5 * np.cos(np.pi * step / steps))
         for group in optimiser.param_groups:
-            group["lr"] = rate * min(1, (step + 1) / 100) * fading
+            group["lr"] = LEARNING_RATE * min(1, (step + 1) / 100) * fading
         torch.manual_seed(step)
-        pictures, *truth = batch(step, pool, more)
+        pictures, *truth = batch(step, pool)
         network.train()
         value = loss(network(pictures), *truth, settings)
         optimiser.zero_grad()
@@ -418,27 +376,19 @@ def main(
     compare: tuple[str, ...] = (),
     judge: tuple[Path, ...] = (),
     resume: bool = False,
-    photographs: Path | None = None,
-    cuts: Path | None = None,
-    start: Path = cue.FILE,
 ) -> None:
     """Train, write and judge."""
     torch.set_num_threads(1)
     judging = [pair for place in judge for pair in pairs.read(place)]
     steps = 5 if quick else steps
     backbone = encoder_of(encoder) if encoder else shipped_encoder()
-    more = None
-    if photographs and cuts:
-        begun = cue.learnt(start)
-        made = people.photographs(photographs, cuts, begun)
-        more = People(begun, made, people.cut_outs(cuts))
     pool = Pool(scenes_in, steps)
     try:
         for name, settings in VARIANTS.items():
             if name not in (compare or ("as it is",)):
                 continue
             to = out.with_stem(f"{out.stem} {name}") if compare else out
-            train(pool, backbone, steps, settings, to, resume, more)
+            train(pool, backbone, steps, settings, to, resume)
             if judging:
                 way = measures.by_weights(cue.learnt(to))
                 print(name, measures.judged(way, judging), flush=True)
@@ -461,9 +411,6 @@ if __name__ == "__main__":
         choices=list(VARIANTS),
         help="variants, each for `steps`",
     )
-    parser.add_argument("--photographs", type=Path, help="with boxes, to tune by: see people.py")
-    parser.add_argument("--cuts", type=Path, help="what people.py cut out of them")
-    parser.add_argument("--start", type=Path, default=cue.FILE, help="weights to be tuned")
     parser.add_argument("--resume", action="store_true", help="go on where it stopped")
     given = parser.parse_args()
     main(
@@ -475,7 +422,4 @@ if __name__ == "__main__":
         tuple(given.compare),
         tuple(given.judge),
         given.resume,
-        given.photographs,
-        given.cuts,
-        given.start,
     )
