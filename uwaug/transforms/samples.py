@@ -41,8 +41,9 @@ def take_apart(
         raise ValueError("sample is empty: expected (image, distance, …)")
     else:
         image, distance = sample[0], sample[1] if len(sample) > 1 else None
-        pictures = _pictures(sample)
-        others = [f"sample[{i}] is a third picture" for i in pictures[2:] if pictures[1] == 1]
+        kind = _kind(image)
+        alike = [i for i, leaf in enumerate(sample) if kind and _kind(leaf) == kind]
+        others = [f"sample[{i}] is a third picture" for i in alike[2:] if alike[1] == 1]
         if isinstance(distance, Mapping):  # torchvision's (image, target)
             has_map = reads_maps or keys[1] in distance
             distance = _leaf(distance, keys[1], "the dict in second place") if has_map else None
@@ -59,19 +60,14 @@ def take_apart(
 
 def are_pictures(value: Any) -> bool:
     """True for a list of pictures (3xHxW), of any sizes: a batch."""
-    is_list = isinstance(value, list) and len(value) > 0
-    return is_list and len(_pictures(value)) == len(value) and value[0].ndim == 3
+    kinds = {*map(_kind, value)} if isinstance(value, list) else set()
+    return len(kinds) == 1 and None not in kinds and value[0].ndim == 3
 
 
-def _pictures(leaves: Sequence[Any]) -> list[int]:
-    """Indices of the leaves that are pictures, of the same class and type, if the first is one."""
-    kinds = [
-        (type(leaf), leaf.dtype, leaf.ndim)
-        if isinstance(leaf, Tensor) and leaf.shape[-3:-2] == (3,)
-        else None
-        for leaf in leaves
-    ]
-    return [i for i, kind in enumerate(kinds) if kind and kind == kinds[0]]
+def _kind(leaf: Any) -> Any:
+    """Class and type of a picture or a batch of them; None of all else."""
+    is_rgb = isinstance(leaf, Tensor) and leaf.shape[-3:-2] == (3,)
+    return (type(leaf), leaf.dtype, leaf.ndim) if is_rgb else None
 
 
 def _refuse_frames() -> None:
