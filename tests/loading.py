@@ -3,6 +3,7 @@ sent by name.
 """
 
 import json
+from typing import Any
 
 from torch import Tensor
 from torch.utils.data import Dataset
@@ -40,3 +41,13 @@ class Keyed(Dataset[tuple[int, Tensor]]):
     def __getitem__(self, index: int) -> tuple[int, Tensor]:
         image, *_ = self.augment.at(0, self.epoch, f"crops/{index}.png")(self.crops[index])
         return index, image
+
+
+class Recorded(Keyed):
+    """For tables of what was drawn: the record itself, in a dict."""
+
+    def __getitem__(self, index: int) -> tuple[Tensor, Tensor, dict[str, Any]]:  # type: ignore[override]
+        image, distance = self.crops[index]
+        record = self.augment.make_params(image, self.augment.generator_of(0, self.epoch, index))
+        wet = self.augment.transform(image, distance, record)
+        return image, wet, {"record": record, "index": index}

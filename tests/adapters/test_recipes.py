@@ -84,6 +84,20 @@ def test_kornias_containers_pass_no_map() -> None:
     assert not torch.equal(wet, images.flip(-1))
 
 
+@pytest.mark.parametrize("layout", ["BTCHW", "BCTHW"])
+def test_kornias_frames_do_not_get_a_water_each(layout: str) -> None:
+    from kornia.augmentation import RandomHorizontalFlip, VideoSequential
+
+    clip, water = torch.rand(2, 3, 3, 20, 28), uwaug.RandomUnderwater(distance=2.0)
+    flip, options = RandomHorizontalFlip(p=1.0), {"data_format": layout}
+    for members in ([flip, water], [torch.nn.Sequential(water)]):
+        with pytest.raises(ValueError, match=r"VideoSequential .* each frame its own .*Video"):
+            VideoSequential(*members, **options)(clip)
+    wet = VideoSequential(water, **options, same_on_frame=False)(clip)  # as was asked for
+    assert not torch.equal(wet, clip)
+    assert not torch.equal(water(VideoSequential(flip, **options)(clip)[0]), clip[0])
+
+
 def test_the_line_for_ultralytics() -> None:
     A = pytest.importorskip("albumentations")
     from uwaug.adapters.albumentations import AlbumentationsUnderwater

@@ -1,3 +1,4 @@
+import io
 import json
 import multiprocessing
 from typing import Any
@@ -5,11 +6,11 @@ from typing import Any
 import pytest
 import torch
 from augmenting import distances, picture
-from loading import Crops, Keyed, Pairs
+from loading import Crops, Keyed, Pairs, Recorded
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from uwaug import RandomUnderwater, RandomWater, fast
+from uwaug import RandomLight, RandomUnderwater, RandomWater, fast
 
 pytestmark = [
     # Python ≥ 3.12 warns of every fork with threads
@@ -78,3 +79,18 @@ def test_keys_do_not_depend_on_workers(crops: Crops) -> None:
     dataset.epoch = 1
     later = run(loader(dataset, workers=0))
     assert not any(torch.equal(later[i], expected[i]) for i in expected)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_records_of_a_batch_become_one(workers: int, crops: Crops) -> None:
+    # with lamps or without, degraded or not: keys of records differ
+    augment = RandomUnderwater(p=0.7, light=RandomLight(share=0.5))
+    for clean, wet, item in loader(Recorded(crops, augment), workers=workers, shuffle=True):
+        record = json.loads(json.dumps(item["record"]))
+        assert len(record["samples"]) == len(clean)
+        zs = torch.stack([crops[index][1] for index in item["index"]])
+        assert (augment.transform(clean, zs, record) - wet).abs().max() <= 1e-6
+        file = io.BytesIO()
+        torch.save(item["record"], file)
+        file.seek(0)
+        assert torch.load(file) == record

@@ -1,6 +1,7 @@
 """Samples as loaders give them: structures, classes of tensors, pipelines."""
 
 import itertools
+import json
 from collections import OrderedDict, defaultdict
 from typing import Any, NamedTuple
 
@@ -9,7 +10,7 @@ import torch
 from augmenting import OPTIONS, H, W, distances, leaves, picture, result, same
 from torch import Tensor
 
-from uwaug import RandomUnderwater
+from uwaug import KeepVisible, RandomUnderwater
 from uwaug.distance import MadeUp, Network, Plane
 
 
@@ -106,3 +107,95 @@ def test_a_second_picture_stays_dry_for_no_one_in_silence(torchvision: Any, kind
             aug(sample)
     clean = right.as_subclass(Tensor)
     assert aug({"image": left, "clean": clean})["clean"] is clean
+
+
+SIDES = (24, 33), (16, 40), (30, 20)
+CROPS = [torch.rand(3, *side, generator=torch.Generator().manual_seed(4)) for side in SIDES]
+CROPS_Z = [torch.linspace(0.5, 4.0, h * w).reshape(1, h, w) for h, w in SIDES]
+
+
+def call_of_list(
+    aug: RandomUnderwater, structure: str, crops: list[Any], maps: list[Tensor]
+) -> Any:
+    if structure == "dict":
+        return aug({"image": crops, "distance": maps, "boxes": 3})["image"]
+    if not aug.distance.reads_maps:
+        return aug(crops)
+    return (aug((crops, maps, [1, 2, 3])) if structure == "tuple" else aug(crops, tuple(maps)))[0]
+
+
+@pytest.mark.parametrize("structure", ["inputs", "tuple", "dict"])
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_list_of_pictures_is_a_batch_of_any_sizes(structure: str, count: int) -> None:
+    aug, crops, maps = RandomUnderwater(["II", "7C"], p=0.7), CROPS[:count], CROPS_Z[:count]
+    torch.manual_seed(11)
+    wet = call_of_list(aug, structure, crops, maps)
+    assert type(wet) is list
+    torch.manual_seed(11)
+    record = json.loads(json.dumps(aug.make_params(crops)))
+    assert len(record["samples"]) == count
+    again = aug.transform(crops, maps, record)
+    for crop, z, sample, *both in zip(crops, maps, record["samples"], wet, again, strict=True):
+        alone = aug.transform(crop, z, {"samples": [sample]})
+        assert all(same(out, alone) for out in both)
+        assert torch.equal(alone, crop) != sample["applied"]
+
+
+def test_a_list_of_tv_tensors_is_a_batch(torchvision: Any) -> None:
+    images = [torchvision.tv_tensors.Image(crop) for crop in CROPS]
+    wet = RandomUnderwater(distance=MadeUp())(images)
+    assert [type(out) for out in wet] == [type(image) for image in images]
+    assert not any(map(torch.equal, wet, images))
+
+
+def test_a_target_stays_as_it_is_and_a_third_picture_is_refused() -> None:
+    aug, (image, clean, third) = RandomUnderwater(distance=3.0), (picture() for _ in range(3))
+    batches = [x.expand(2, -1, -1, -1) for x in (image, clean, third)]
+    for first, second in ((image, clean), batches[:2]):
+        for sample in ((first, second), (first, second, torch.zeros(3, H, W).bool(), "name")):
+            wet, untouched = aug(sample)[:2]
+            assert untouched is second
+            assert not torch.equal(wet, first)
+    wet = aug(batches[:2])  # a loader's list of two batches is a pair, too
+    assert wet[1] is batches[1]
+    for sample in ((image, clean, third), (image, clean, 7, third), batches):
+        with pytest.raises(
+            ValueError, match=r"sample\[\d\] is a third picture, .*a batch is a list"
+        ):
+            aug(sample)
+
+
+def test_refused_lists() -> None:
+    aug, ready = RandomUnderwater("II"), RandomUnderwater("II", distance=3.0)
+    for call, message in (
+        (lambda: aug(CROPS, CROPS_Z[:2]), "distance has 2 maps but image is a list of 3"),
+        (lambda: aug(CROPS), "distance is missing"),
+        (lambda: ready(CROPS, CROPS_Z), "a map came, which .* not read"),
+        (lambda: ready.transform(CROPS, None, ready.make_params(picture(2))), "2 samples"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
+@pytest.mark.parametrize("keys", [[5, "reef/3.png", 0], torch.tensor([4, 9, 2])])
+def test_each_picture_of_a_batch_has_its_own_key(keys: Any) -> None:
+    aug, images, maps = RandomUnderwater(["II", "3C"], p=0.8), picture(3), distances(3) + 1
+    wet, _ = aug.at(1, 2, keys)(images, maps)
+    listed, _ = aug.at(1, 2, keys)(CROPS, CROPS_Z)
+    for i, key in enumerate(keys):
+        alone, _ = aug.at(1, 2, key)(images[i], maps[i])
+        assert float((wet[i] - alone).abs().max()) <= 1e-6
+        assert same(listed[i], aug.at(1, 2, key)(CROPS[i], CROPS_Z[i])[0])
+    record = aug.make_params(images, aug.generator_of(1, 2, keys))
+    assert same(aug.transform(images, maps, record), wet)
+
+
+def test_keys_are_as_many_as_pictures() -> None:
+    aug, boxes = RandomUnderwater(distance=3.0), {"boxes": torch.tensor([[1.0, 1.0, 9.0, 9.0]])}
+    keep = KeepVisible(aug, 0.0)
+    for transform, inputs in ((aug, (picture(3),)), (aug, (CROPS,)), (keep, (picture(), boxes))):
+        for keys in ([0, 1], [0, 1, 2, 3]):
+            with pytest.raises(ValueError, match=rf"index has {len(keys)} keys but image has "):
+                transform.at(0, 0, keys)(*inputs)
+    alone, _ = keep.at(0, 0, [6])(picture(), boxes)
+    assert same(alone, aug.at(0, 0, 6)(picture()))

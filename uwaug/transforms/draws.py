@@ -1,8 +1,11 @@
 """Draws: all that is random about one picture, and its record."""
 
 import math
+from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any, NamedTuple
+
+from torch.utils.data._utils.collate import default_collate_fn_map
 
 from uwaug._support import checks
 from uwaug._support.nouns import SEEDS, Drawn, Noun, require_names
@@ -13,6 +16,18 @@ Record = dict[str, Any]
 
 NOUNS = ("water", "distance", "light", "development")
 """Arguments of `RandomUnderwater` that say what is random about a picture."""
+
+
+class Batchable(Record):
+    """A record that a loader joins with the others of a batch: one, with the samples of all."""
+
+    def __reduce__(self) -> tuple[Any, ...]:  # to what torch.load takes
+        return OrderedDict, (), None, None, iter(self.items())
+
+
+default_collate_fn_map[Batchable] = lambda records, **_: Batchable(
+    samples=[sample for record in records for sample in record["samples"]]
+)
 
 
 class Draw(NamedTuple):

@@ -13,7 +13,7 @@ from torch import Tensor
 from uwaug._support import checks
 from uwaug._support.pixels import of_box, of_polygons
 from uwaug.transforms.random_underwater import RandomUnderwater
-from uwaug.transforms.samples import SampleTransform, pictures_of, replaced, typed
+from uwaug.transforms.samples import SampleTransform, pictures_of, replaced, take_apart, typed
 
 
 @dataclass(eq=False, repr=False)
@@ -66,8 +66,9 @@ class KeepVisible(SampleTransform):
         checks.instance("augment", self.augment, RandomUnderwater)
         checks.within("min_contrast", self.min_contrast, 0.0, 1.0)
 
-    def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
-        image, distance, restore = self.augment.take_apart(inputs)
+    def _sampled(self, inputs: tuple[Any, ...], generator: Any) -> Any:
+        options = self.augment.keys, self.augment.distance.reads_maps
+        image, distance, restore = take_apart(inputs, *options)
         pictures_of(image)  # refuses what is no image
         if image.ndim != 3:
             raise ValueError(f"image must be one picture (3, H, W), got {tuple(image.shape)}")

@@ -17,14 +17,14 @@ from uwaug.formation.underwater import Underwater
 from uwaug.light import Light
 from uwaug.optics.view import WIDE, View
 from uwaug.transforms.conditions import Conditions, laid_over, photographed
-from uwaug.transforms.draws import NOUNS, Draw, Record, of_frame, read_draws
+from uwaug.transforms.draws import NOUNS, Batchable, Draw, Record, of_frame, read_draws
 from uwaug.transforms.measured import Measured
 from uwaug.transforms.random_development import RandomDevelopment
 from uwaug.transforms.random_light import RandomLight
 from uwaug.transforms.random_water import MILDEST, AnyWater, RandomWater
 from uwaug.transforms.samples import (
-    Parts,
     SampleTransform,
+    are_pictures,
     is_film,
     maps_for,
     pictures_of,
@@ -64,7 +64,9 @@ class RandomUnderwater(SampleTransform):
         (image, distance, …), a tuple or list of them, (image, target) with the map in a dict in
         second place, or a dict. One picture (3xHxW, distance 1xHxW) or a batch, whose pictures may
         share one map; uint8 (0…255) or floating point (0…1); plain tensors or torchvision's
-        tv_tensors (a map is best a `Mask`). A `Video` is a film: one draw for all frames.
+        tv_tensors (a map is best a `Mask`). A `Video` is a film: one draw for all frames. A list
+        of pictures (3xHxW, of any sizes) is a batch, with a list of maps; a tuple is one sample, of
+        which the first picture gets wet, the second stays as it is, and a third is refused.
 
         The same structure comes back with a new image of the same type; every other leaf is
         returned as it is, and no input is changed. Gradients pass to image and distance; draws are
@@ -211,12 +213,12 @@ class RandomUnderwater(SampleTransform):
         transform: RandomUnderwater = codec.from_plain(options, RandomUnderwater)
         return transform
 
-    def make_params(self, image: Tensor, generator: torch.Generator | None = None) -> Record:
+    def make_params(self, image: Tensor | list[Tensor], generator: Any = None) -> Record:
         """Draw everything that is random, for a picture or a batch.
 
         Args:
-            image (3xHxW or Bx3xHxW tensor): only its shape is read; a `Video` draws once.
-            generator: source of randomness; torch's global generator if None.
+            image (3xHxW or Bx3xHxW tensor, or list): only its shape is read; a `Video` draws once.
+            generator: `torch.Generator`, or a list, one for each picture; None: the global one.
 
         Returns:
             A plain record, as JSON holds it: {"samples": […]} with a dict for each picture:
@@ -224,9 +226,15 @@ class RandomUnderwater(SampleTransform):
             contents of one or two "waters"), "distance", "light" (the pitch alone by daylight) and
             "development", by the names of their options.
         """
-        count = 1 if image.ndim == 3 or is_film(image) else len(image)
+        is_batch = isinstance(image, list) or (image.ndim > 3 and not is_film(image))
+        count = len(image) if is_batch else 1
+        if isinstance(generator, list):
+            if len(generator) != count:
+                raise ValueError(f"index has {len(generator)} keys but image has {count} pictures")
+            samples = [self.make_params(torch.empty(3, 1, 1), g)["samples"][0] for g in generator]
+            return Batchable(samples=samples)
         seeds = torch.randint(2**63 - 1, (count,), generator=generator, device="cpu").tolist()
-        return {"samples": [self._sample(Uniform(seed.to_bytes(8))) for seed in seeds]}
+        return Batchable(samples=[self._sample(Uniform(seed.to_bytes(8))) for seed in seeds])
 
     def _sample(self, uniform: Uniform) -> Record:
         sample: Record = {"applied": uniform("applied") < self.p}
@@ -242,16 +250,23 @@ class RandomUnderwater(SampleTransform):
         return laid_over(sample, condition)
 
     @uncompiled
-    def transform(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
+    def transform(self, image: Any, distance: Any, params: Record) -> Any:
         """Degrade a picture or a batch as a record says: deterministic. `image` itself comes back
         if the record leaves all of it alone.
 
         Args:
-            image (3xHxW or Bx3xHxW tensor): uint8 or floating point.
-            distance (1xHxW or Bx1xHxW tensor): maps that `distance` reads; None if it reads none.
+            image (3xHxW or Bx3xHxW tensor, or list of pictures): uint8 or floating point.
+            distance (1xHxW or Bx1xHxW tensor, or list): maps that `distance` reads; or None.
             params: from `make_params` of an equal transform; one sample serves a whole batch.
         """
-        return self.scenes(image, distance, params).formed()
+        if not are_pictures(image):
+            return self.scenes(image, distance, params).formed()
+        draws = read_draws(params, len(image), self._nouns)
+        maps = distance if isinstance(distance, (list, tuple)) else [distance] * len(image)
+        if len(maps) != len(image):
+            raise ValueError(f"distance has {len(maps)} maps but image is a list of {len(image)}")
+        each = zip(image, map(pictures_of, image), maps, ([draw] for draw in draws), strict=True)
+        return [scenes_of(*scene, self._nouns, self.view).formed() for scene in each]
 
     @uncompiled
     def for_clip(self, params: Record, image: Tensor, distance: Tensor | None) -> Record:
@@ -277,9 +292,9 @@ class RandomUnderwater(SampleTransform):
         scenes = self.scenes(frames[middle], maps[middle], params)
         (sample,) = params["samples"]
         if not scenes.chosen:
-            return {"samples": [sample]}
+            return Batchable(samples=[sample])
         sample = {**sample, "measured": scenes.settled(), "moved": 0.0, "motion": (0.0, 0.0, 0.0)}
-        return {"samples": [of_frame(sample, number) for number in range(len(frames))]}
+        return Batchable(samples=[of_frame(sample, number) for number in range(len(frames))])
 
     @uncompiled
     def contrast_left(self, image: Tensor, distance: Tensor | None, params: Record) -> Tensor:
@@ -287,10 +302,6 @@ class RandomUnderwater(SampleTransform):
         `uwaug.contrast_left`; 1 where a picture is left alone. Arguments as for `transform`.
         """
         return self.scenes(image, distance, params).contrast_map()
-
-    def take_apart(self, inputs: tuple[Any, ...]) -> Parts:
-        """Find image, map and the way back in the inputs of a call."""
-        return take_apart(inputs, self.keys, self.distance.reads_maps)
 
     def scenes(self, image: Tensor, distance: Tensor | None, params: Record) -> Scenes:
         """Pictures in the water of their draws, of which no image is formed yet. Arguments as for
@@ -303,12 +314,12 @@ class RandomUnderwater(SampleTransform):
             draws = read_draws(self.for_clip(params, image, distance), count, self._nouns)
         return scenes_of(image, pictures, distance, draws, self._nouns, self.view)
 
-    def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
-        image, distance, restore = self.take_apart(inputs)
-        pictures = pictures_of(image)
-        record = self.make_params(image, generator)
-        if is_film(image):
+    def _sampled(self, inputs: tuple[Any, ...], generator: Any) -> Any:
+        image, distance, restore = take_apart(inputs, self.keys, self.distance.reads_maps)
+        if are_pictures(image) or is_film(image):
+            record = self.make_params(image, generator)
             return restore(self.transform(image, distance, record))
+        pictures, record = pictures_of(image), self.make_params(image, generator)
         draws = [Draw(**sample) for sample in record["samples"]]  # as just drawn, unchecked
         scenes = scenes_of(image, pictures, distance, draws, self._nouns, self.view)
         return restore(scenes.formed())

@@ -235,11 +235,11 @@ class RandomWater(Noun):
         """The water of a picture, of a scene with this median distance [m], before a contrast is
         asked for; and how many times its contents it has.
         """
-        first = draw["waters"][0]
-        fixed = self.by_name.get(first) if isinstance(first, str) else None
-        if isinstance(fixed, Medium):
-            return fixed, 1.0
-        water, *second = map(self._spectra, draw["waters"])
+        named: Any = self.by_name
+        waters = (named[w] if isinstance(w, str) else Water.of_amounts(w) for w in draw["waters"])
+        water, *second = waters
+        if isinstance(water, Medium):
+            return water, 1.0
         if second:
             water = water.mix(second[0], draw["mixing"])
         visibility, least_contents = draw.get("visibility"), 0.0
@@ -333,13 +333,6 @@ class RandomWater(Noun):
             seeds.append(draw.water["field_seed"])
             moved.append((scale * right, scale * down))
         return random_fields(seeds, (like.shape[-2], like.shape[-1]), *self.field, like, moved)
-
-    def _spectra(self, water: str | Mapping[str, float]) -> Water:
-        if not isinstance(water, str):
-            return Water.of_amounts(water)
-        spectra = self.by_name[water]
-        assert isinstance(spectra, Water)
-        return spectra
 
 
 def _contents_under(

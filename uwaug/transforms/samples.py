@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from dataclasses import fields
 from functools import partial, wraps
 from operator import index as whole_number
-from typing import Any, NamedTuple, ParamSpec, Self, TypeVar
+from typing import Any, ParamSpec, Self, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -21,37 +22,62 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Parts(NamedTuple):
-    """An image, its map or None, and a function that puts a new image in the image's place."""
-
-    image: Tensor
-    distance: Any
-    restore: Callable[[Tensor], Any]
-
-
-def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool) -> Parts:
-    """Find image and map in (image, distance, …), or in one tuple, list or dict that holds them; in
-    second place of a tuple, a dict may hold the map. Without `reads_maps` none has to be there.
+def take_apart(
+    inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool
+) -> tuple[Any, Any, Callable[[Any], Any]]:
+    """Find image, map or None, and a function that puts a new image in the image's place. They are
+    in (image, distance, …), or one tuple, list or dict; in second place of a tuple, a dict may hold
+    the map. Without `reads_maps` none has to be there.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
-    if "torchvision.tv_tensors" in sys.modules and (others := [*_images(sample, "sample")][1:]):
-        cure = "transform(image, distance, record) takes one record for both"
-        raise ValueError(f"{others[0]} is a second picture, which would stay dry: {cure}")
+    if not isinstance(sample, (Mapping, tuple, list)) or are_pictures(sample):
+        _refuse_frames()
+        return sample, None, lambda result: result
+    others, place = list[str](), keys[0] if isinstance(sample, Mapping) else 0
     if isinstance(sample, Mapping):
         image = _leaf(sample, keys[0], "sample")
         distance = _leaf(sample, keys[1], "sample") if reads_maps else sample.get(keys[1])
-        return Parts(image, distance, partial(replaced, sample, keys[0]))
-    if not isinstance(sample, (tuple, list)):
-        return Parts(sample, None, lambda result: result)
-    if not sample:
+    elif not sample:
         raise ValueError("sample is empty: expected (image, distance, …)")
-    distance = sample[1] if len(sample) > 1 else None
-    if isinstance(distance, Mapping):  # torchvision's (image, target)
-        has_map = reads_maps or keys[1] in distance
-        distance = _leaf(distance, keys[1], "the dict in second place") if has_map else None
-    elif not reads_maps and not _is_map(distance, sample[0]):
-        distance = None
-    return Parts(sample[0], distance, partial(replaced, sample, 0))
+    else:
+        image, distance = sample[0], sample[1] if len(sample) > 1 else None
+        kind = _kind(image)
+        alike = [i for i, leaf in enumerate(sample) if kind and _kind(leaf) == kind]
+        others = [f"sample[{i}] is a third picture" for i in alike[2:] if alike[1] == 1]
+        if isinstance(distance, Mapping):  # torchvision's (image, target)
+            has_map = reads_maps or keys[1] in distance
+            distance = _leaf(distance, keys[1], "the dict in second place") if has_map else None
+        elif not reads_maps and not _is_map(distance, image):
+            distance = None
+    restore = partial(replaced, sample, place)
+    if "torchvision.tv_tensors" in sys.modules and [*_images(image, "image")]:
+        others += [f"{name} is a second picture" for name in _images(restore(None), "sample")]
+    if others:
+        cure = "a batch is a list; transform(image, distance, record) takes one record for both"
+        raise ValueError(f"{others[0]}, which would stay dry: {cure}")
+    return image, distance, restore
+
+
+def are_pictures(value: Any) -> bool:
+    """True for a list of pictures (3xHxW), of any sizes: a batch."""
+    kinds = {*map(_kind, value)} if isinstance(value, list) else set()
+    return len(kinds) == 1 and None not in kinds and value[0].ndim == 3
+
+
+def _kind(leaf: Any) -> Any:
+    """Class and type of a picture or a batch of them; None of all else."""
+    is_rgb = isinstance(leaf, Tensor) and leaf.shape[-3:-2] == (3,)
+    return (type(leaf), leaf.dtype, leaf.ndim) if is_rgb else None
+
+
+def _refuse_frames() -> None:
+    """Refuse frames that kornia gives as a batch of pictures: only its call tells that they are."""
+    frame: Any = sys._getframe()
+    while frame and frame.f_globals.get("__name__") != "kornia.augmentation.container.video":
+        frame = frame.f_back
+    if frame and getattr(frame.f_locals.get("self"), "same_on_frame", False):
+        cure = "call it outside, on torchvision's Video or with for_clip; or same_on_frame=False"
+        raise ValueError(f"kornia's VideoSequential would give each frame its own water: {cure}")
 
 
 def _images(value: Any, name: str) -> Iterator[str]:
@@ -64,6 +90,8 @@ def _images(value: Any, name: str) -> Iterator[str]:
 
 
 def _is_map(value: Any, image: Any) -> bool:
+    if isinstance(value, list) and are_pictures(image):
+        return any(map(_is_map, value, image))
     if not (isinstance(value, Tensor) and isinstance(image, Tensor) and value.is_floating_point()):
         return False
     return 3 <= value.ndim == image.ndim and value.shape[-3:] == (1, *image.shape[-2:])
@@ -115,37 +143,40 @@ class SampleTransform(nn.Module):
             raise AttributeError(f"{type(self).__name__}.{name} is read-only: {made}")
         super().__setattr__(name, value)
 
-    def at(self, seed: int, epoch: int, index: int | str) -> Callable[..., Any]:
+    def at(self, seed: int, epoch: int, index: Any) -> Callable[..., Any]:
         """The transform with randomness from a key: the same result in any worker, in any order.
 
         Args:
             seed, epoch: of the run, and of the pass through the data.
-            index: of the picture (or batch); a number, or a name such as a path. "7" is 7.
+            index: of the picture (or batch); a number, or a name such as a path. "7" is 7. Several
+                (a list, a tensor) are those of a batch, one for each picture, else ValueError.
 
         Returns:
             A function of the same inputs, of the record `make_params(image, generator_of(…))`.
         """
-        return partial(self._apply_with, key_of(seed, epoch, index))
+        return partial(self._apply_with, (seed, epoch, index))
 
     @staticmethod
-    def generator_of(seed: int, epoch: int, index: int | str) -> torch.Generator:
-        """The source of randomness of a key, see `at`."""
+    def generator_of(seed: int, epoch: int, index: Any) -> Any:
+        """The source of randomness of a key, or a list of them, see `at`."""
+        if np.ndim(index):
+            return [SampleTransform.generator_of(seed, epoch, each) for each in index]
         return torch.Generator().manual_seed(key_of(seed, epoch, index))
 
     @uncompiled
-    def _apply_with(self, key: int, *inputs: Any) -> Any:
-        return self._sampled(inputs, torch.Generator().manual_seed(key))
+    def _apply_with(self, key: tuple[int, int, Any], *inputs: Any) -> Any:
+        return self._sampled(inputs, self.generator_of(*key))
 
     @uncompiled
     def forward(self, *inputs: Any) -> Any:
         """Draw, and degrade a sample; see the class."""
         return self._sampled(inputs, None)
 
-    def _sampled(self, inputs: tuple[Any, ...], generator: torch.Generator | None) -> Any:
+    def _sampled(self, inputs: tuple[Any, ...], generator: Any) -> Any:
         raise NotImplementedError
 
 
-def key_of(seed: int, epoch: int, index: int | str) -> int:
+def key_of(seed: int, epoch: int, index: Any) -> int:
     """The seed of a key, see `at`: the 32 bits that a generator of torch takes."""
     name = index if isinstance(index, str) else whole_number(index)
     text = f"{whole_number(seed)}/{whole_number(epoch)}/{name}"

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -160,7 +159,7 @@ def scenes_of(
             measurements = measure(submerged, metres, metered=metered)
         scenes, of_films = [], []
         for n, (i, draw, measured) in enumerate(zip(chosen, applied, measurements, strict=True)):
-            with nullcontext() if len(pictures) == 1 else naming(i, len(pictures)):
+            with naming(i, len(pictures)):
                 if not (measured.darkest >= 0 and measured.brightest <= 1):
                     require_values(pictures[i], space)
                 is_film = draw.measured or draw.moved or any(draw.motion)
