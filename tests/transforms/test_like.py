@@ -5,6 +5,7 @@ import pickle
 from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from augmenting import QUIET, RAW, flat, same
@@ -15,7 +16,7 @@ from uwaug import MarineSnow, RandomLight, RandomUnderwater, RandomWater, Sensor
 from uwaug.distance import MadeUp
 from uwaug.formation.colour import srgb_to_linear
 from uwaug.transforms import Conditions, RandomDevelopment
-from uwaug.transforms.appearance import WATER_FEATURES, water_features
+from uwaug.transforms.appearance import WATER_FEATURES, unlikeness, water_features
 from uwaug.transforms.conditions import laid_over
 
 H, W = 32, 48
@@ -70,6 +71,25 @@ def test_draws_look_like_the_photograph() -> None:
     assert nearness is not None
     assert nearness.kept < 0.8 * nearness.drawn
     assert f"{nearness.kept:.2f}" in str(nearness)
+
+
+@pytest.mark.parametrize(("blue", "is_far"), [(-0.8, False), (-0.5, False), (1.0, True)])
+def test_another_hue_is_far_however_near_the_rest_is(blue: float, is_far: bool) -> None:
+    names = list(WATER_FEATURES)
+    photograph = np.zeros(len(names))
+    photograph[names.index("log_RG")] = -1.5
+    photograph[names.index("log_BG")] = -0.8  # a green of 143°
+    draw = photograph.copy()
+    draw[names.index("log_BG")] = blue
+    assert (unlikeness(draw, photograph) >= 1) == is_far
+
+
+@pytest.mark.filterwarnings("ignore:even the nearest")
+def test_a_hue_that_no_water_has_is_far() -> None:
+    purple = GREEN[[1, 0, 1]]
+    assert str(conditions(uwaug.like(purple, pictures(4), maps(4), **FEW)).nearness).endswith(
+        "; colour: far"
+    )
 
 
 def test_water_is_kept_and_the_rest_is_drawn_anew() -> None:

@@ -40,6 +40,10 @@ _SPREADS, _COUNTS, *_ = map(np.array, zip(*WATER_FEATURES.values(), strict=True)
 # of each number: a standard deviation of photographs, on average
 _UNITS = _SPREADS * np.sqrt(np.mean(_COUNTS**2)) / _COUNTS
 
+_LOG_RG, _LOG_BG = (list(WATER_FEATURES).index(name) for name in ("log_RG", "log_BG"))
+_HUE_UNIT = 0.5  # chord between hues that counts as much as a standard deviation: 29°
+_PALE = 0.1  # of 1, saturation below which a colour has less and less of a hue
+
 _BLOCKS = 16  # along a picture's short side, in which the veil is looked for
 _JITTER = 1e-8  # variance added to each channel's: a constant one correlates with nothing
 
@@ -52,12 +56,14 @@ class Nearness(NamedTuple):
             photographs.
         doubt: what is off, in words, if even the draws for one of them are far; else empty.
         of_each: `kept`, for each photograph.
+        hues: of the kept draws the median distance in hue alone, for each photograph.
     """
 
     kept: float
     drawn: float
     doubt: str
     of_each: tuple[float, ...] = ()
+    hues: tuple[float, ...] = ()
 
     def __str__(self) -> str:
         unit = "where 1 is how much real underwater photographs differ from their mean"
@@ -66,6 +72,8 @@ class Nearness(NamedTuple):
         if len(self.of_each) > 1:
             verdicts = Counter(map(_verdict, sorted(self.of_each)))
             text += "; " + ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
+        if any(hue >= FAR_FROM for hue in self.hues):
+            text += "; colour: far"
         return text
 
     def far(self) -> list[int]:
@@ -81,10 +89,27 @@ def _verdict(unlikeness: float) -> str:
 
 def unlikeness(draws: Values, photograph: Values) -> Values:
     """How far draws are from a photograph by the twelve numbers (…x12), in standard deviations of
-    photographs (…).
+    photographs (…); by hue alone, if that is farther.
     """
     distances: Values = np.sqrt((((draws - photograph) / _UNITS) ** 2).mean(-1))
-    return distances
+    return np.maximum(distances, hue_apart(draws, photograph))
+
+
+def hue_apart(draws: Values, photograph: Values) -> Values:
+    """How far the mean colours of draws (…x12) are from a photograph's in hue, in units of 29°."""
+    apart: Values = abs(_hue(draws) - _hue(photograph)) / _HUE_UNIT
+    return apart
+
+
+def _hue(numbers: Values) -> Values:
+    """The hue of a mean colour in the complex plane: of length 1, shorter of what is pale."""
+    light = np.exp2(np.stack([numbers[..., _LOG_RG], numbers[..., _LOG_BG]]))  # of green 1
+    red, blue = light ** (1 / 2.2)
+    brightest = np.maximum(np.maximum(red, blue), 1)
+    third = np.exp(2j * np.pi / 3)
+    around = (red + third + blue * third.conjugate()) / brightest
+    hue: Values = around / np.maximum(abs(around), _PALE)
+    return hue
 
 
 def in_words(excess: Values) -> str:

@@ -20,6 +20,7 @@ from uwaug.transforms.appearance import (
     WATER_FEATURES,
     Nearness,
     Values,
+    hue_apart,
     in_words,
     unlikeness,
     water_features,
@@ -107,9 +108,13 @@ def like(
         doubt = f"even the nearest draws look unlike the reference, {away}: {words}"
         warnings.warn(doubt, stacklevel=2)
     medians = float(np.median(of_each)), float(np.median(of_new))
+    hues = tuple(
+        float(np.median([hue_apart(np.array(draw.features), photograph).mean() for draw in kept]))
+        for kept, photograph in zip(best, photographs, strict=True)
+    )
     rows = tuple(draw.condition for kept in best for draw in kept)
-    found = Conditions(rows, nearness=Nearness(*medians, doubt, tuple(of_each)))
-    return replace(augment, conditions=found)
+    nearness = Nearness(*medians, doubt, tuple(of_each), hues)
+    return replace(augment, conditions=Conditions(rows, nearness=nearness))
 
 
 class _Scene(NamedTuple):
