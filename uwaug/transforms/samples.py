@@ -31,7 +31,7 @@ class Parts(NamedTuple):
 
 def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool) -> Parts:
     """Find image and map in (image, distance, …), or in one tuple, list or dict that holds them; in
-    second place of a tuple, a dict may hold the map. Without `reads_maps` none has to be there.
+    second place of a tuple, a dict may hold the map. Without `reads_maps` only a name makes a map.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if "torchvision.tv_tensors" in sys.modules and (others := [*_images(sample, "sample")][1:]):
@@ -49,7 +49,7 @@ def take_apart(inputs: tuple[Any, ...], keys: tuple[str, str], reads_maps: bool)
     if isinstance(distance, Mapping):  # torchvision's (image, target)
         has_map = reads_maps or keys[1] in distance
         distance = _leaf(distance, keys[1], "the dict in second place") if has_map else None
-    elif not reads_maps and not _is_map(distance, sample[0]):
+    elif not reads_maps:
         distance = None
     return Parts(sample[0], distance, partial(replaced, sample, 0))
 
@@ -61,12 +61,6 @@ def _images(value: Any, name: str) -> Iterator[str]:
     elif isinstance(value, (Mapping, tuple, list)):
         for place, member in value.items() if isinstance(value, Mapping) else enumerate(value):
             yield from _images(member, f"{name}[{place!r}]")
-
-
-def _is_map(value: Any, image: Any) -> bool:
-    if not (isinstance(value, Tensor) and isinstance(image, Tensor) and value.is_floating_point()):
-        return False
-    return 3 <= value.ndim == image.ndim and value.shape[-3:] == (1, *image.shape[-2:])
 
 
 def _leaf(sample: Mapping[Any, Any], name: str, what: str) -> Any:
