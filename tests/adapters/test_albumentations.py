@@ -1,5 +1,6 @@
 import json
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 import torch
 
 from uwaug import KeepVisible, RandomDevelopment, RandomUnderwater, RandomWater
-from uwaug.distance import Plane
+from uwaug.distance import MadeUp, Plane
 
 A = pytest.importorskip("albumentations")
 
@@ -80,6 +81,41 @@ def test_grey_and_16_bits_are_taken_as_in_files(shape: tuple[int, ...], white: i
     film = {"images": np.stack([values] * 2), "distances": np.stack([metres()] * 2)}
     for frame in water().apply_with_params({"record": record}, **film)["images"]:
         assert np.abs(frame.astype(int) - made).max() <= white // 255
+
+
+@pytest.mark.parametrize("shape", [(H, W), (H, W, 1)])
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+def test_a_grey_camera_sees_the_luminance_of_the_light(shape: Any, dtype: str) -> None:
+    values = np.random.default_rng(0).random(shape)
+    white = 1 if dtype == "float32" else np.iinfo(dtype).max
+    values = (values * white).astype(dtype)
+    augment = replace(AUGMENT, distance=Plane((2.0, 4.0)))
+    record = augment.make_params(torch.empty(3, H, W))
+    maker = water(augment, channels="grey")
+    mask = np.random.default_rng(1).random((H, W, 1)).astype(np.float32)
+    targets = {"image": values, "mask": mask}
+    result = maker.apply_with_params({"record": record}, **targets)
+    assert result["mask"] is mask
+    assert (result["image"].shape, result["image"].dtype) == (shape, dtype)
+    wet = water(augment).apply_with_params({"record": record}, image=values)["image"] / white
+    light = np.where(wet <= 0.04045, wet / 12.92, ((wet + 0.055) / 1.055) ** 2.4)
+    grey = light @ [0.2126, 0.7152, 0.0722]
+    expected = np.where(grey <= 0.0031308, 12.92 * grey, 1.055 * grey ** (1 / 2.4) - 0.055)
+    off = np.abs(result["image"].reshape(H, W) / white - expected).max()
+    assert off < {"uint8": 0.51 / 255, "uint16": 2 / 65535, "float32": 1e-5}[dtype]
+    film = np.stack([values] * 2)
+    assert maker.apply_with_params({"record": record}, images=film)["images"].shape == film.shape
+    with pytest.raises(ValueError, match=r"image must be grey, .* got \(24, 33, 3\)"):
+        maker(image=array())
+
+
+@pytest.mark.parametrize("kind", ["mask", "masks"])
+def test_a_mask_is_no_map_where_none_are_read(kind: str) -> None:
+    mask = metres() if kind == "mask" else np.stack([metres()] * 2)
+    made = A.Compose([A.HorizontalFlip(p=1), water(replace(AUGMENT, distance=MadeUp()))], seed=0)
+    result = made(image=array(), **{kind: mask})
+    assert np.array_equal(np.asarray(result[kind]), mask[..., ::-1])
+    assert not np.array_equal(result["image"], array()[:, ::-1])
 
 
 def test_boxes_that_water_hides_go() -> None:

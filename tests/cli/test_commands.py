@@ -619,6 +619,29 @@ def test_pictures_that_exif_turns_are_told_where_maps_or_labels_are(folder, run,
     assert (code, told in out) == (0, False)
 
 
+def test_the_view_that_exif_says_is_offered(folder, run):
+    exif = Image.Exif()
+    exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: 35}
+    (folder / "taken").mkdir()
+    for name, size in (("a.jpg", (60, 40)), ("b.jpg", (40, 60))):
+        Image.new("RGB", size, (90, 60, 30)).save(folder / "taken" / name, exif=exif)
+    line = ("degrade", "taken", "--workers", "1", "--distance", "2", "--out")
+    told = "EXIF says 35 mm on film of 35 mm, as of b.jpg: --focal-px 58 would take it"
+    code, out, _ = run(*line, "wet")
+    assert (code, told in out) == (0, True)
+    assert "EXIF" not in run(*line, "seen", "--focal-px", "58")[1]
+    record = json.loads((folder / "wet/a.jpg.json").read_text())
+    assert "view" not in record["recipe"]["transform"]
+    with Image.open("wet/a.jpg") as image:
+        kept = image.getexif().get_ifd(ExifTags.IFD.Exif)
+    assert kept == {ExifTags.Base.FocalLengthIn35mmFilm: 35}
+    assert run("degrade", "wet/a.jpg.json", "--out", "again.jpg")[0] == 0
+    assert (folder / "again.jpg").read_bytes() == (folder / "wet/a.jpg").read_bytes()
+    exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: 70}  # a zoom has no one view
+    Image.new("RGB", (60, 40)).save(folder / "taken/c.jpg", exif=exif)
+    assert "EXIF" not in run(*line, "zoomed")[1]
+
+
 def test_plain_pictures_have_nothing_random(folder, run):
     """`--water 3C --contrast .4` alone draws a depth, a white balance, a tone, a saturation."""
     (folder / "options.toml").write_text("[development]\ntone = 1.2\n")

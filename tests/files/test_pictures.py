@@ -1,6 +1,8 @@
 """What is written is what was read; what cannot be used is refused by name."""
 
 import io
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +118,152 @@ def test_srgb_by_its_profile_stays(tmp_path: Path) -> None:
     assert np.array_equal(read_picture(light, "linear").permute(1, 2, 0), pixels())
 
 
+def _with_chunks(png: Path, *chunks: tuple[bytes, str, tuple[int, ...]]) -> Path:
+    """Put chunks, each a kind, the format of its numbers and these, after the head of a PNG."""
+    whole, parts = png.read_bytes(), []
+    for kind, numbers, values in chunks:
+        data = struct.pack(f">{len(values)}{numbers}", *values)
+        parts += [struct.pack(">I", len(data)), kind, data]
+        parts += [struct.pack(">I", zlib.crc32(kind + data))]
+    png.write_bytes(whole[:33] + b"".join(parts) + whole[33:])
+    return png
+
+
+def _gamma(number: int) -> tuple[bytes, str, tuple[int, ...]]:
+    return b"gAMA", "I", (number,)
+
+
+def _corners(*numbers: float) -> tuple[bytes, str, tuple[int, ...]]:
+    """The chunk of a white of D65, and these x, y of red, green and blue."""
+    return b"cHRM", "I", tuple(round(1e5 * number) for number in (0.3127, 0.329, *numbers))
+
+
+SRGB_CHUNK = b"sRGB", "B", (0,)
+OF_601 = (0.63, 0.34, 0.31, 0.595, 0.155, 0.07)
+CODED: list[tuple[list[Any], float | None]] = [
+    # chunks, and the power of light that the numbers are; None for sRGB
+    ([_gamma(55000)], 0.55),
+    ([_gamma(45455)], None),
+    ([_gamma(45000), _corners(*OF_601)], None),
+    ([_corners(*SRGB), _gamma(100000)], 1.0),
+    ([SRGB_CHUNK, _corners(*DISPLAY_P3), _gamma(100000)], None),
+    ([(b"cICP", "B", (1, 13, 0, 1)), _gamma(70000)], None),
+    ([SRGB_CHUNK, (b"cICP", "B", (1, 1, 0, 1))], 1 / 1.961),
+]
+
+
+@pytest.mark.parametrize("values", [pixels(), pixels()[..., 0], words(), words()[..., 0]])
+@pytest.mark.parametrize("chunks, power", CODED)
+def test_a_png_says_what_its_numbers_mean(
+    tmp_path: Path, values: Any, chunks: list[Any], power: float | None
+) -> None:
+    path = _with_chunks(save(tmp_path / "a.png", values), *chunks)
+    white = np.iinfo(values.dtype).max
+    light = (values / white) ** (1 / (power or 1))
+    coded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    expected = np.atleast_3d(coded if power else values / white)
+    image = read_picture(path)
+    shares = image.double() / (255 if image.dtype == torch.uint8 else 1)
+    assert np.abs(shares.permute(1, 2, 0).numpy() - expected).max() * white < 0.6
+    # what is written is sRGB, and has no such chunk; distances are numbers, not colours
+    write_picture(tmp_path / "b.png", image)
+    assert torch.equal(read_picture(tmp_path / "b.png"), image)
+    if values.ndim == 2:
+        kept = torch.from_numpy((values / white).astype(np.float32))
+        assert torch.equal(read_distance(path, None)[0], kept)
+
+
+@pytest.mark.parametrize(
+    "chunk, message",
+    [
+        ((b"cICP", "B", (9, 18, 0, 1)), "cICP must be sRGB .*, got 9/18/0/1"),
+        ((b"cICP", "B", (1, 13, 0, 0)), "got 1/13/0/0"),
+        (_corners(*ADOBE_RGB), r"Rec. 709, got 0\.64, 0\.33, 0\.21, .*: convert it first"),
+    ],
+)
+def test_colours_of_a_png_that_are_refused(tmp_path: Path, chunk: Any, message: str) -> None:
+    path = _with_chunks(save(tmp_path / "a.png", pixels()), chunk)
+    with pytest.raises(ValueError, match=message):
+        read_picture(path)
+
+
+@pytest.mark.parametrize("options", [{"tile": (16, 16)}, {"rowsperstrip": 8}])
+def test_jpeg_in_a_tiff(tmp_path: Path, options: dict[str, Any]) -> None:
+    rows, columns = np.mgrid[:40, :56]
+    smooth = np.stack([4 * columns, 6 * rows, 255 - 2 * rows - 2 * columns], -1).astype(np.uint8)
+    path = save(tmp_path / "a.tif", smooth, photometric="rgb", compression="jpeg", **options)
+    with tifffile.TiffFile(path) as file:
+        assert file.pages.first.tags["PhotometricInterpretation"].value == 6
+    made = read_picture(path).permute(1, 2, 0).numpy().astype(int)
+    assert np.abs(made - smooth).mean() < 3
+    assert np.abs(made - np.asarray(Image.open(path))).max() <= 3
+
+
+@pytest.mark.parametrize("values", [pixels()[..., 0], words()[..., 0], words()[..., 0] >> 4])
+def test_a_tiff_with_white_as_0(tmp_path: Path, values: Any) -> None:
+    bits = 12 if values.max() < 4096 and values.dtype == np.uint16 else 8 * values.itemsize
+    packed = {"bitspersample": bits} if bits == 12 else {}
+    path = save(tmp_path / "a.tif", values, photometric="miniswhite", **packed)
+    white = (1 << bits) - 1
+    image = read_picture(path)[0]
+    levels = image if bits == 8 else (image * 65535).round()
+    assert torch.equal(levels.int(), torch.from_numpy(white - values.astype(np.int32)))
+    with pytest.raises(ValueError, match="got MINISWHITE"):
+        read_distance(path, None)
+
+
+CAMERA = {"Make": "Nauticam", "Model": "X", "DateTime": "2021:03:04 05:06:07"}
+PLACE = {1: "S", 2: (12.0, 30.0, 1.5)}
+
+
+def _taken(orientation: int = 1) -> bytes:
+    """EXIF of a camera, with a maker's note, and a thumbnail."""
+    exif = _exif(orientation)
+    exif.update({ExifTags.Base[name]: text for name, text in CAMERA.items()})
+    inner = {"FocalLength": 18.0, "FocalLengthIn35mmFilm": 27, "DateTimeOriginal": "2021:03:04"}
+    exif[ExifTags.IFD.Exif] = {
+        **{ExifTags.Base[name]: value for name, value in inner.items()},
+        **{ExifTags.Base.MakerNote: b"a small picture", ExifTags.Base.ColorSpace: 65535},
+        ExifTags.IFD.Interop: {ExifTags.Interop.InteropIndex: "R03"},
+    }
+    exif[ExifTags.IFD.GPSInfo] = PLACE
+    return exif.tobytes()
+
+
+@pytest.mark.parametrize("kind", ["uint8", "uint16"])
+@pytest.mark.parametrize("source", ["a.png", "a.jpg", "a.tif"])
+@pytest.mark.parametrize("result", ["b.png", "b.jpg", "b.tif"])
+def test_exif_goes_with_the_result(tmp_path: Path, source: str, result: str, kind: str) -> None:
+    profile = _profile(ADOBE_RGB)
+    Image.fromarray(pixels()).save(tmp_path / source, exif=_taken(6), icc_profile=profile)
+    exif = open_picture(tmp_path / source).exif
+    write_picture(tmp_path / result, picture(kind), exif=exif)
+    again = open_picture(tmp_path / result)
+    assert (again.orientation, again.exif) == (1, exif)
+    assert again.image.shape == (3, H, W)
+    if not result.endswith("jpg"):
+        assert torch.equal(again.image, picture(kind))
+    kept = Image.Exif()
+    kept.load(exif)
+    assert {ExifTags.TAGS[tag]: kept[tag] for tag in kept if isinstance(kept[tag], str)} == CAMERA
+    inner = {ExifTags.TAGS[t] for t in kept.get_ifd(ExifTags.IFD.Exif)}
+    assert inner == {"FocalLength", "FocalLengthIn35mmFilm", "DateTimeOriginal"}
+    assert kept.get_ifd(ExifTags.IFD.GPSInfo) == PLACE
+
+
+def test_a_thumbnail_stays_dry_for_no_one(tmp_path: Path) -> None:
+    small = io.BytesIO()
+    Image.fromarray(pixels()).save(small, "JPEG")
+    # IFD0 without entries, then IFD1 with the place and length of a thumbnail
+    number = len(small.getvalue())
+    tags = struct.pack("<HHHIIHHIII", 2, 0x201, 4, 1, 44, 0x202, 4, 1, number, 0)
+    block = b"Exif\0\0II*\0" + struct.pack("<IHI", 8, 0, 14) + tags + small.getvalue()
+    Image.fromarray(pixels()).save(tmp_path / "a.jpg", exif=block)
+    assert small.getvalue() in (tmp_path / "a.jpg").read_bytes()
+    write_picture(tmp_path / "b.jpg", picture("uint8"), exif=open_picture(tmp_path / "a.jpg").exif)
+    assert b"Exif" not in (tmp_path / "b.jpg").read_bytes()
+
+
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])
 def test_pictures_are_upright(tmp_path: Path, name: str, orientation: int) -> None:
@@ -183,6 +331,12 @@ def _animated() -> bytes:
     return file.getvalue()
 
 
+def _palette() -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(pixels()).convert("P").save(file, "TIFF")
+    return file.getvalue()
+
+
 WHOLE = _png("RGB")
 REFUSED: list[tuple[str, bytes, str]] = [
     ("a.png", _png("RGBA", alpha=254), "without alpha"),
@@ -196,7 +350,9 @@ REFUSED: list[tuple[str, bytes, str]] = [
     ("a.npy", _npy(pixels().astype(np.int32)), "8 or 16 bits, .* got int32"),
     ("a.npy", _npy(metres())[:200], "cannot be decoded"),
     ("a.npy", _npy(np.empty((0, 4, 3))), "holds no pixels"),
-    ("a.tif", _tiff(pixels(), photometric="ycbcr"), "expected RGB or grey"),
+    ("a.tif", _tiff(pixels(), photometric="ycbcr"), "expected RGB or grey, got YCBCR"),
+    ("a.tif", _tiff(pixels(channels=4), photometric="separated"), "RGB or grey, got CMYK"),
+    ("a.tif", _palette(), "RGB or grey, got PALETTE"),
     ("a.tif", _tiff(pixels(channels=4), photometric="rgb"), "got shape .12, 16, 4."),
     ("a.tif", _tiff(np.stack([pixels()] * 3), photometric="rgb"), "holds 3 pictures"),
     ("a.tif", _tiff(np.stack([words(1)[..., 0]] * 3), imagej=True), "holds 3 pictures"),

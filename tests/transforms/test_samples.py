@@ -46,8 +46,6 @@ def test_the_same_structure_comes_back(name: str, batch: int | None) -> None:
 
 
 CALLS: list[Any] = [
-    lambda aug, image, z: aug(image, z),
-    lambda aug, image, z: aug([image, z, 3]),
     lambda aug, image, z: aug(image, {"distance": z}),
     lambda aug, image, z: aug({"image": image, "distance": z}),
     lambda aug, image, z: aug.transform(image, z, aug.make_params(image)),
@@ -62,8 +60,8 @@ def test_a_map_that_nothing_reads_is_refused() -> None:
 
 
 def test_what_else_stands_after_a_picture_is_no_map() -> None:
-    labels = torch.tensor(3), torch.rand(5), torch.zeros(1, H, W).long(), torch.rand(H, W), {"a": 0}
-    for label in labels:
+    masks = torch.zeros(1, H, W).long(), torch.rand(H, W), torch.rand(1, H, W)
+    for label in (torch.tensor(3), torch.rand(5), *masks, {"a": 0}):
         degraded, same_label = RandomUnderwater(distance=3.0)(picture(), label)
         assert same_label is label
         assert not torch.equal(degraded, picture())

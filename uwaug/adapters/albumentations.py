@@ -10,6 +10,7 @@ from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.extras import install
+from uwaug.formation.colour import luminance
 from uwaug.transforms.draws import Record
 from uwaug.transforms.keep_visible import means_over
 from uwaug.transforms.random_underwater import RandomUnderwater
@@ -63,7 +64,8 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
             AlbumentationsX moves further masks only beside a mask: without one, give the map as
             the mask, by "mask". No map is needed where `augment` makes distances.
         scale: metres per unit of a map, such as .001 for mm.
-        channels: order of the picture's colours; "bgr" with OpenCV and Ultralytics.
+        channels: order of the picture's colours; "bgr" with OpenCV and Ultralytics. "grey": one
+            channel, which stays one: the luminance of the light that its wet picture in colour has.
         min_contrast: contrast below which boxes of `image` go, with their labels, as those of
             `uwaug.KeepVisible`; None keeps all.
         p: probability, as in all transforms of Albumentations.
@@ -71,8 +73,8 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
     Targets:
         image, and others of its kind (`additional_targets`): HxWx3, uint8 (0…255), uint16
         (0…65535) or float32 (0…1); one draw for all, each at its distances. Grey, HxW or HxWx1,
-        comes out in colour. Pictures of `images` are frames of one film. Masks and keypoints stay
-        as they are.
+        comes out in colour, but by "grey". Pictures of `images` are frames of one film. Masks and
+        keypoints stay as they are.
 
     Random numbers come from the pipeline: `A.Compose(…, seed=…)`. Albumentations 2.0 draws the same
     in all workers of a DataLoader and in all epochs: call
@@ -95,7 +97,7 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         *,
         distance_key: str = "distance",
         scale: float = 1.0,
-        channels: Literal["rgb", "bgr"] = "rgb",
+        channels: Literal["rgb", "bgr", "grey"] = "rgb",
         min_contrast: float | None = None,
         p: float = 0.5,
     ) -> None:
@@ -106,7 +108,7 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
             augment = RandomUnderwater.from_dict(augment or {})
         if augment.p != 1:
             raise ValueError(f"augment.p must be 1, got {augment.p}: give p to the adapter instead")
-        checks.one_of("channels", channels, ("rgb", "bgr"))
+        checks.one_of("channels", channels, ("rgb", "bgr", "grey"))
         checks.positive("scale", scale)
         self.augment = augment
         self.distance_key, self.scale, self.channels = distance_key, scale, channels
@@ -130,11 +132,15 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
             single = self._key2func[name] == self.apply
             if image.ndim == (2 if single else 3):
                 image = image[..., None]
+            is_grey = self.channels == "grey"
+            if is_grey and image.shape[-1] != 1:
+                raise ValueError(f"{name} must be grey, as channels say, got {image.shape}")
             if image.shape[-1] == 1:
                 image = image.repeat(3, -1)
             if self.augment.distance.reads_maps:
                 distance = self._distance(name, single, kwargs)
-            result[name], scenes = self._degraded(image, record, distance)
+            degraded, scenes = self._degraded(image, record, distance)
+            result[name] = degraded.reshape(np.shape(pictures)) if is_grey else degraded
             boxes = kwargs.get("bboxes")
             if name == "image" and self.min_contrast is not None and boxes is not None:
                 if not self._in_pipeline:
@@ -168,7 +174,10 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         if image.ndim == 4:
             record = self.augment.for_clip(record, image, distance)
         scenes = self.augment.scenes(image, distance, record)
-        result = scenes.formed().movedim(-3, -1).numpy()
+        wet = scenes.formed()
+        if self.channels == "grey":
+            wet = luminance(wet, self.augment.development.color_space)
+        result = wet.movedim(-3, -1).numpy()
         if has_16_bits:
             result = np.rint(result.clip(0, 1) * 65535).astype(np.uint16)
         return np.ascontiguousarray(result[..., ::step]), scenes

@@ -84,7 +84,7 @@ class Films:
         poor, reasons = [], []
         for row in candidates:
             try:
-                (image, _), z = self.recipe.read(row)
+                (image, *_), z = self.recipe.read(row)
                 record = self.recipe.transform_of(row.picture).for_clip(draw, image, z)
             except Exception as error:  # as over the picture itself
                 reasons.append(f"{row.name}: {reason_of(error)}")

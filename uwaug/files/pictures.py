@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -10,24 +11,31 @@ import numpy as np
 import tifffile
 import torch
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, ImageCms
+from PIL import ExifTags, Image, ImageCms, PngImagePlugin
 from torch import Tensor
 
 from uwaug._support import checks
 from uwaug._support.atomic import require_regular, written_whole
 from uwaug._support.extras import require
 from uwaug._support.types import ColorSpace
+from uwaug.files.exif import kept_exif, tiff_with
 from uwaug.formation.colour import linear_to_srgb, srgb_to_linear
 
 ENDINGS = (".npy", ".exr", ".tif", ".tiff", ".png", ".jpg", ".jpeg")  # of pictures
 MAP_ENDINGS = (".npy", ".npz", ".exr", ".tif", ".tiff", ".png")
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
-_BIT_DEPTH = 24  # place in a PNG of the byte with the number of bits of a channel
+# place in a PNG of the byte with the number of bits of a channel, and of its second chunk
+_BIT_DEPTH, _HEAD = 24, 33
 _PROFILE_TAG, _NODATA_TAG = 34675, 42113  # of TIFF
 _REC_709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # x, y of red, green, blue, white
 _JPEG_TABLE_SUM = 3688  # of the standard's table for luminance, which is quality 50
 _SAME_LEVELS = 2  # by which profiles of sRGB differ, of 255
+_SRGB_POWER, _SAME_POWER = 1 / 2.2, 0.05  # of light, and the share by which it may differ (libpng)
+_SAME_PRIMARIES, _NEAR_PRIMARIES = 0.002, 0.015  # in x, y; those of all television are near
+_VIDEO_POWER = 1 / 1.961  # as FFmpeg writes it as gAMA
+# by a cICP's numbers of primaries and curve: sRGB; and video, Rec. 709 and 601
+_POWERS = {b"\1\15": _SRGB_POWER, **dict.fromkeys((b"\1\1", b"\5\6", b"\6\6"), _VIDEO_POWER)}
 
 
 class Picture(NamedTuple):
@@ -35,6 +43,7 @@ class Picture(NamedTuple):
 
     image: Tensor  # 3xHxW, upright, see `read_picture`
     orientation: int  # of the file by EXIF: 1 is upright, 2…8 were turned or mirrored
+    exif: bytes  # that goes with a result, see `kept_exif`
 
 
 def read_picture(path: str | Path, color_space: ColorSpace = "srgb") -> Tensor:
@@ -44,7 +53,7 @@ def read_picture(path: str | Path, color_space: ColorSpace = "srgb") -> Tensor:
         path: a PNG, JPEG or TIFF file of 8 or 16 bits; or a .npy (HxWx3) or .exr file, which may
             also hold floating-point numbers, 0…1. EXR and PNG of 16 bits need the extra "files".
         color_space: colour space of the result. An EXR holds linear light; a colour profile, such
-            as Display P3, is converted to sRGB.
+            as Display P3, and a PNG's gamma are converted to sRGB.
 
     Returns:
         3xHxW, upright by EXIF: uint8 (0…255) for 8 bits, else float32 (0…1 for 16 bits).
@@ -69,7 +78,7 @@ def open_picture(path: Path, color_space: ColorSpace = "srgb") -> Picture:
     if values.ndim != 3 or values.shape[2] != 3:
         raise ValueError(f"{path}: expected RGB or grey, without alpha, got shape {values.shape}")
     if color_space == "srgb" and values.dtype.kind == "u":
-        values = _in_srgb(values, file.profile)
+        values = _in_srgb(values, file)
     if values.dtype == np.uint16:
         values = values / np.float32(65535)
     elif values.dtype != np.uint8:
@@ -77,7 +86,7 @@ def open_picture(path: Path, color_space: ColorSpace = "srgb") -> Picture:
     image = torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
     is_light = path.suffix.lower() == ".exr"
     image = linear_to_srgb(image) if is_light and color_space == "srgb" else image
-    return Picture(image, file.orientation)
+    return Picture(image, file.orientation, file.exif)
 
 
 def read_distance(path: str | Path, unit: str | float | None = "m") -> Tensor:
@@ -149,7 +158,11 @@ def jpeg_quality(path: str | Path) -> int | None:
 
 
 def write_picture(
-    path: str | Path, image: Tensor, quality: float = 95, color_space: ColorSpace = "srgb"
+    path: str | Path,
+    image: Tensor,
+    quality: float = 95,
+    color_space: ColorSpace = "srgb",
+    exif: bytes = b"",
 ) -> None:
     """Write a picture, whole or not at all.
 
@@ -159,6 +172,7 @@ def write_picture(
             16 bits to PNG and TIFF, as float32 to .npy and .exr, which take maps (1xHxW), too.
         quality: quality of JPEG, 1…100.
         color_space: colour space of the image. An EXR gets linear light.
+        exif: EXIF of JPEG, PNG and TIFF, as Pillow's `Exif.tobytes` gives it.
     """
     end = _ending(Path(path), ENDINGS)
     values = image.detach().cpu().permute(1, 2, 0).contiguous().numpy()
@@ -179,17 +193,18 @@ def write_picture(
             if end == ".npy":
                 np.save(file, values if values.shape[-1] > 1 else values[..., 0])
             elif end in (".tif", ".tiff"):
-                # without the time of writing, so that equal pictures are equal files
-                tifffile.imwrite(file, values, photometric="rgb", compression="zlib", metadata=None)
+                file.write(tiff_with(values, exif))
             elif values.dtype == np.uint16:
                 (codecs,) = require("files", "imagecodecs")
-                file.write(codecs.png_encode(values))
-            elif end == ".png":
-                Image.fromarray(values).save(file, "PNG")
+                data = codecs.png_encode(values)
+                file.write(data[:_HEAD])
+                if exif:
+                    PngImagePlugin.putchunk(file, b"eXIf", exif.removeprefix(b"Exif\0\0"))
+                file.write(data[_HEAD:])
             else:
-                # colour is what water changes: none of it is subsampled
-                jpeg = {"quality": round(quality), "subsampling": "4:4:4"}
-                Image.fromarray(values).save(file, "JPEG", **jpeg)
+                # of JPEG; colour is what water changes: none of it is subsampled
+                how: Any = {"quality": round(quality), "subsampling": "4:4:4", "exif": exif}
+                Image.fromarray(values).save(file, "PNG" if end == ".png" else "JPEG", **how)
 
 
 @lru_cache(maxsize=16)
@@ -205,8 +220,13 @@ def _to_srgb(profile: bytes) -> ImageCms.ImageCmsTransform | None:
     return transform if (np.abs(converted - colours.astype(int)) > _SAME_LEVELS).any() else None
 
 
-def _in_srgb(values: NDArray[Any], profile: bytes) -> NDArray[Any]:
-    if (transform := _to_srgb(profile)) is None:
+def _in_srgb(values: NDArray[Any], file: "_File") -> NDArray[Any]:
+    if abs(file.power / _SRGB_POWER - 1) > _SAME_POWER:
+        white = np.iinfo(values.dtype).max
+        light = torch.linspace(0, 1, white + 1, dtype=torch.float64) ** (1 / file.power)
+        levels = np.rint(linear_to_srgb(light).numpy() * white).astype(values.dtype)
+        return np.asarray(levels[values])
+    if (transform := _to_srgb(file.profile)) is None:
         return values
     values = np.ascontiguousarray(values)
     if values.dtype == np.uint8:
@@ -215,18 +235,21 @@ def _in_srgb(values: NDArray[Any], profile: bytes) -> NDArray[Any]:
     srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     # optimised, 16 bits would go by a coarse table that is off by 11 of 255 in shadows
     how: Any = {"colorspace": "rgb", "outcolorspace": "rgb", "flags": codecs.CMS.FLAGS.NOOPTIMIZE}
-    converted: NDArray[Any] = codecs.cms_transform(values, profile, srgb, **how)
+    converted: NDArray[Any] = codecs.cms_transform(values, file.profile, srgb, **how)
     return converted
 
 
 class _File(NamedTuple):
     values: NDArray[Any]  # HxW or HxWxC, upright
     orientation: int = 1
+    exif: bytes = b""
     profile: bytes = b""
+    power: float = _SRGB_POWER  # of light, that the values are without a profile
     nodata: float | None = None  # number that stands for none, by GDAL
 
 
 _What = Literal["RGB", "Z"]
+_Kind = tifffile.PHOTOMETRIC
 
 
 def _decoded(path: Path, what: _What) -> _File:
@@ -285,44 +308,77 @@ def _of_pillow(path: Path, what: _What) -> _File:
         if image.format == "PNG" and (count := getattr(image, "n_frames", 1)) > 1:
             raise ValueError(f"holds {count} pictures: save each in a file of its own")
         profile, values = image.info.get("icc_profile") or b"", np.asarray(image)
-        exif = image.getexif()
+        exif, power = image.getexif(), _SRGB_POWER
     turn = int(exif.get(ExifTags.Base.Orientation, 1))
     interop = exif.get_ifd(ExifTags.IFD.Interop)
     if interop.get(ExifTags.Interop.InteropIndex) == "R03" and not profile:
         raise ValueError("is in Adobe RGB, without a profile: convert it first, or add one")
-    if image.format == "PNG" and values.ndim == 3:
+    if image.format == "PNG":
         data = path.read_bytes()
-        if data[_BIT_DEPTH] == 16:  # of which Pillow has dropped half
+        if what == "RGB":
+            profile, power = _coded(image.info, data)
+        if values.ndim == 3 and data[_BIT_DEPTH] == 16:  # of which Pillow has dropped half
             (codecs,) = require("files", "imagecodecs")
             values = codecs.png_decode(data)
-    return _File(_upright(values, turn), turn, profile)
+    return _File(_upright(values, turn), turn, kept_exif(exif), profile, power)
+
+
+def _coded(info: dict[Any, Any], data: bytes) -> tuple[bytes, float]:
+    """Colour profile of a PNG, and the power of light that its numbers are without one: by cICP, or
+    else iCCP, sRGB, or cHRM and gAMA.
+    """
+    head = data[: data.find(b"IDAT")]
+    if cicp := head.partition(b"\0\0\0\4cICP")[2][:4]:
+        if (power := _POWERS.get(cicp[:2])) is None or cicp[2:] != b"\0\1":
+            got = "/".join(map(str, cicp))
+            raise ValueError(f"cICP must be sRGB (1/13/0/1) or Rec. 709 (1/1/0/1), got {got}")
+        return b"", power
+    if "icc_profile" in info or "srgb" in info:
+        return info.get("icc_profile") or b"", _SRGB_POWER
+    if "chromaticity" in info:  # of white first
+        _require_rec_709(np.roll(info["chromaticity"], -2), _NEAR_PRIMARIES)
+    return b"", info.get("gamma") or _SRGB_POWER
+
+
+def _require_rec_709(primaries: Any, within: float) -> None:
+    if not np.allclose(np.reshape(primaries, (-1, 8)), _REC_709, atol=within):
+        got = ", ".join(f"{number:.4g}" for number in np.ravel(primaries)[:8])
+        raise ValueError(f"primaries must be those of Rec. 709, got {got}: convert it first")
 
 
 def _of_tiff(path: Path, what: _What) -> _File:
     with tifffile.TiffFile(path) as file:
         page, count = file.pages.first, sum(not page.is_reduced for page in file.pages)
-        kinds = (tifffile.PHOTOMETRIC.RGB, tifffile.PHOTOMETRIC.MINISBLACK)
-        if page.photometric not in kinds:
-            raise ValueError(f"expected RGB or grey, got {page.photometric}")
+        kind = _Kind(page.photometric)
+        is_reversed = kind is _Kind.MINISWHITE and what == "RGB"
+        is_jpeg = kind is _Kind.YCBCR and page.compression == tifffile.COMPRESSION.JPEG
+        if not (is_reversed or is_jpeg or kind in (_Kind.RGB, _Kind.MINISBLACK)):
+            got = {_Kind.SEPARATED: "CMYK"}.get(kind, kind.name)
+            raise ValueError(f"expected RGB or grey, got {got}")
         if page.imagewidth * page.imagelength > 2 * (Image.MAX_IMAGE_PIXELS or np.inf):
             raise ValueError(f"{page.imagewidth}×{page.imagelength} px: see PIL.MAX_IMAGE_PIXELS")
         if (count := max(count, file.series[0].size // page.size)) > 1 or page.is_reduced:
             raise ValueError(f"holds {count} pictures: save each in a file of its own")
         values = page.asarray()
+        if is_reversed:
+            values = (1 << page.bitspersample) - 1 - values
         values = np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
         turn = int(page.tags.valueof(ExifTags.Base.Orientation, 1))
         profile = bytes(page.tags.valueof(_PROFILE_TAG) or b"")
         nodata = str(page.tags.valueof(_NODATA_TAG, "")).strip("\0 ")
-        return _File(_upright(values, turn), turn, profile, float(nodata) if nodata else None)
+        number, exif = float(nodata) if nodata else None, Image.Exif()
+        with suppress(Exception):  # as a damaged one
+            file.filehandle.seek(0)
+            exif.load_from_fp(file.filehandle)
+        return _File(_upright(values, turn), turn, kept_exif(exif), profile, nodata=number)
 
 
 def _of_exr(path: Path, what: _What) -> _File:
     (exr,) = require("files", "OpenEXR")
     parts = exr.File(str(path)).parts
-    primaries = [part.header.get("chromaticities", _REC_709) for part in parts]
-    if what == "RGB" and not np.allclose(primaries, _REC_709, atol=2e-3):
-        got = ", ".join(f"{number:.4g}" for number in primaries[0])
-        raise ValueError(f"primaries must be those of Rec. 709, got {got}: convert it first")
+    if what == "RGB":
+        primaries = [part.header.get("chromaticities", _REC_709) for part in parts]
+        _require_rec_709(primaries, _SAME_PRIMARIES)
     layers = [(name, channel.pixels) for part in parts for name, channel in part.channels.items()]
     names = ("RGB", "RGBA") if what == "RGB" else ("Z", "Y")
     is_alone = what == "Z" and len(layers) == 1

@@ -13,11 +13,13 @@ from uwaug._support.threads import one_thread
 from uwaug.distance.doubts import doubts
 from uwaug.distance.sources import Inverse, Metres, Relative
 from uwaug.distance.unknown import NO_RANGE, in_words, of_metres
-from uwaug.files.pictures import read_picture
+from uwaug.files.exif import focal_lengths
+from uwaug.files.pictures import open_picture, read_picture
 from uwaug.files.recipe import Recipe
 from uwaug.files.record import reason_of
 from uwaug.files.search import pictures_in
 from uwaug.files.table import Row
+from uwaug.optics.view import WIDE_DEGREES, View
 from uwaug.transforms.like import like
 
 _SAMPLE_COUNT = 8  # pictures that are looked at, spread over the run
@@ -46,6 +48,11 @@ def prepare(
             "each frame's map is stretched from near to far on its own: a film pumps where things "
             "come and go, unless its maps are metres"
         )
+    lengths = {sample.lengths: sample.name for sample in samples if sample.lengths}
+    if len(lengths) == 1 and recipe.transform.view == View():
+        (((film_mm, focal_px), name),) = lengths.items()
+        said = f"EXIF says {film_mm:g} mm on film of 35 mm, as of {name}: --focal-px {focal_px}"
+        sentences.append(f"{said} would take it; without, the view is {WIDE_DEGREES:g}° wide")
     reasons = [sample.reason for sample in samples if sample.reason]
     if 2 * len(reasons) > len(samples):
         raise ValueError("; ".join([reasons[0], *sentences]))
@@ -76,7 +83,9 @@ def references_of(paths: Sequence[Path]) -> list[Path]:
 
 
 class _Sample(NamedTuple):
+    name: str
     image: Tensor  # 3xHxW
+    lengths: tuple[float, int] | None  # focal, by EXIF
     z: Tensor | None  # map, 1xHxW
     reason: str  # for which it is refused
 
@@ -86,7 +95,8 @@ def _samples(recipe: Recipe, rows: Sequence[Row]) -> list[_Sample]:
     for row in rows:
         with warnings.catch_warnings(), suppress(Exception):  # decoders raise whatever they like
             warnings.simplefilter("ignore")
-            image = read_picture(row.picture)
+            image, _, exif = open_picture(row.picture)
+            lengths = focal_lengths(exif, *image.shape[1:])
             z, reason = None, ""
             try:
                 z = recipe.read_map(row)
@@ -94,7 +104,7 @@ def _samples(recipe: Recipe, rows: Sequence[Row]) -> list[_Sample]:
                     _require_metres(recipe, row.name, z, image)
             except Exception as error:
                 reason = f"{row.distance}: {reason_of(error).removeprefix(f'{row.distance}: ')}"
-            samples.append(_Sample(image, z, reason))
+            samples.append(_Sample(row.name, image, lengths, z, reason))
     return samples
 
 

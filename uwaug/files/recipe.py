@@ -86,13 +86,13 @@ class Recipe:
         space = self.transform_of(row.picture).development.color_space
         return open_picture(row.picture, space), self.read_map(row)
 
-    def write(self, path: Path, image: Tensor, picture: Path) -> None:
-        """Write the result (3xHxW) of the transform of a picture."""
+    def write(self, path: Path, image: Tensor, picture: Path, exif: bytes) -> None:
+        """Write the result (3xHxW) of the transform of a picture, with EXIF of its own."""
         default = self.transform.development.color_space
         space = self.transform_of(picture).development.color_space
         if space != default and path.suffix.lower() != ".exr":
             image, space = linear_to_srgb(image.clamp(0, 1)), default
-        write_picture(path, image, self.quality, space)
+        write_picture(path, image, self.quality, space, exif)
 
     def read_map(self, row: Row) -> Tensor | None:
         """The map (1xHxW) of a row, where it has one."""

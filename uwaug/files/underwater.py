@@ -28,6 +28,7 @@ from uwaug.transforms.truth import MAPS, Truth
 
 _CONTRAST_ROWS = 128  # rows of the short side, about, that give the mean contrast of a picture
 
+_Made = tuple[Tensor, Truth | None, bytes]  # picture, maps, and EXIF of its source
 _WHITE_OF_12_BITS = 4095 / 65535  # that are stored in 16 as they are
 
 
@@ -138,9 +139,9 @@ def replay(
     row = Row(**cells)
     require_apart(Work(output.parent, {}), [Job(row._replace(labels=None), output.name)])
     with one_thread():
-        (image, *_), z = recipe.read(row)
+        (image, _, exif), z = recipe.read(row)
         degraded = recipe.transform_of(row.picture).transform(image, z, entries["params"])
-        recipe.write(output, degraded, row.picture)
+        recipe.write(output, degraded, row.picture, exif)
 
 
 class _Underwater(Work):
@@ -157,9 +158,9 @@ class _Underwater(Work):
             sources["frame"] = [number, moment, *(row.name for row in candidates)]
         return sources
 
-    def make(self, job: Job) -> tuple[tuple[Tensor, Truth | None], dict[str, Any]]:
+    def make(self, job: Job) -> tuple[_Made, dict[str, Any]]:
         row, labels = job.row, job.labels
-        (image, turn), z = self.recipe.read(row)
+        (image, turn, exif), z = self.recipe.read(row)
         transform = self.recipe.transform_of(row.picture)
         if job.frame is None:
             params = self.recipe.drawn(row.name, job.variant)
@@ -187,7 +188,7 @@ class _Underwater(Work):
             "turned": turn > 1 and (z is not None or labels is not None),
             "alone": may_have_holes and z is not None and bool(of_shares(z).any()),
         }
-        return (degraded, truth), {
+        return (degraded, truth, exif), {
             "params": params,
             "color_space": transform.development.color_space,
             "contrast": round(float(contrast.double().mean()), 4),
@@ -199,14 +200,14 @@ class _Underwater(Work):
             "asked": [question for question, is_so in applies.items() if is_so],
         }
 
-    def write(self, path: Path, result: tuple[Tensor, Truth | None], row: Row) -> None:
-        degraded, truth = result
+    def write(self, path: Path, result: _Made, row: Row) -> None:
+        degraded, truth, exif = result
         if truth is not None:
             place = path.relative_to(self.out).as_posix()
             for name, file in zip(MAPS, self._maps(place), strict=True):
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_picture(file, getattr(truth, name).float(), color_space="linear")
-        self.recipe.write(path, degraded, row.picture)
+        self.recipe.write(path, degraded, row.picture, exif)
 
     def files(self, job: Job) -> list[Path]:
         return [*super().files(job), *([] if self.recipe.maps is None else self._maps(job.place))]

@@ -79,6 +79,13 @@ def encoded(
     return values.to(dtype)
 
 
+def luminance(image: Tensor, color_space: ColorSpace) -> Tensor:
+    """Picture (…x1xHxW) of the luminance of the light of another (…x3xHxW), of its type."""
+    light = decoded(image, color_space)
+    grey = (light * light.new_tensor(LUMINANCE)[:, None, None]).sum(-3, keepdim=True)
+    return encoded(grey, color_space, image.dtype, headroom(image))
+
+
 def srgb_to_linear(x: Tensor) -> Tensor:
     """Decode sRGB values to linear light: x/12.92 up to 0.04045, ((x + 0.055)/1.055)^2.4 above.
 

@@ -68,8 +68,11 @@ class Blurs(nn.Module):
         wide = [blur for blur in self.stack if isinstance(blur, _Wide)]
         if wide:
             shrink = [blur.shrinking(size[_ROWS], half.shape[_ROWS]) for blur in wide]
-            cells = [matrix.shape[0] for matrix in shrink]  # len() of it would be fixed in a graph
-            yield from torch.split(torch.cat(shrink) @ half, cells, _ROWS)
+            rows, first = torch.cat(shrink) @ half, 0
+            for matrix in shrink:
+                cells = matrix.shape[0]  # len() of it would be fixed in a graph
+                yield rows.narrow(_ROWS, first, cells)  # a split would stop ONNX Runtime's tools
+                first += cells
 
 
 class _Half(nn.Module):

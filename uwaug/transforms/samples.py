@@ -27,7 +27,7 @@ def take_apart(
 ) -> tuple[Any, Any, Callable[[Any], Any]]:
     """Find image, map or None, and a function that puts a new image in the image's place. They are
     in (image, distance, …), or one tuple, list or dict; in second place of a tuple, a dict may hold
-    the map. Without `reads_maps` none has to be there.
+    the map. Without `reads_maps` only a name makes a map.
     """
     sample = inputs[0] if len(inputs) == 1 else inputs
     if not isinstance(sample, (Mapping, tuple, list)) or are_pictures(sample):
@@ -47,7 +47,7 @@ def take_apart(
         if isinstance(distance, Mapping):  # torchvision's (image, target)
             has_map = reads_maps or keys[1] in distance
             distance = _leaf(distance, keys[1], "the dict in second place") if has_map else None
-        elif not reads_maps and not _is_map(distance, image):
+        elif not reads_maps:
             distance = None
     restore = partial(replaced, sample, place)
     if "torchvision.tv_tensors" in sys.modules and [*_images(image, "image")]:
@@ -87,14 +87,6 @@ def _images(value: Any, name: str) -> Iterator[str]:
     elif isinstance(value, (Mapping, tuple, list)):
         for place, member in value.items() if isinstance(value, Mapping) else enumerate(value):
             yield from _images(member, f"{name}[{place!r}]")
-
-
-def _is_map(value: Any, image: Any) -> bool:
-    if isinstance(value, list) and are_pictures(image):
-        return any(map(_is_map, value, image))
-    if not (isinstance(value, Tensor) and isinstance(image, Tensor) and value.is_floating_point()):
-        return False
-    return 3 <= value.ndim == image.ndim and value.shape[-3:] == (1, *image.shape[-2:])
 
 
 def _leaf(sample: Mapping[Any, Any], name: str, what: str) -> Any:
