@@ -140,7 +140,7 @@ def test_blocks_that_are_copied_first_run_each_in_a_new_process(tmp_path: Path) 
         for block, folder in blocks_of(guide, tmp_path / guide.name):
             (folder / "block.py").write_text(block, encoding="utf-8")
             folders.append(str(folder))
-    assert len(folders) == 5
+    assert len(folders) == 6
     command = [sys.executable, "-c", IN_NEW_PROCESSES, *folders]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
