@@ -155,15 +155,38 @@ def test_a_file_with_a_lamp(tmp_path, coefficients, space) -> None:
 
 
 def test_rows_for_another_language_are_what_a_file_takes(waters) -> None:
-    medium = Medium.from_water("9C")
-    rows = json.loads(json.dumps(input_rows({"9C": medium})))
-    session, (image, distance) = OnnxUnderwater(waters[0], threads=1).session.opened, scene(1)
+    media = {name: Medium.from_water(name) for name in ("9C", "I")}
+    assert len({coefficients_of(medium)["G"].shape for medium in media.values()}) == 2
+    rows = json.loads(json.dumps(input_rows(media)))
+    session, (image, distance) = OnnxUnderwater(waters[0], threads=1).session.opened, scene(2)
     assert {"image", "distance", *rows["inputs"]} == {x.name for x in session.get_inputs()}
     assert "1/m" in rows["inputs"]["beta"]
-    row = {key: np.array(value, np.float32) for key, value in rows["waters"]["9C"].items()}
-    (result,) = session.run(None, {"image": image.numpy(), "distance": distance.numpy(), **row})
-    exact = in_water(waters[1], medium, image, distance)
-    np.testing.assert_allclose(result, exact.numpy(), rtol=0, atol=1e-5)
+    batch = {
+        key: np.concatenate([np.array(row[key], np.float32) for row in rows["waters"].values()])
+        for key in rows["inputs"]
+    }
+    (result,) = session.run(None, {"image": image.numpy(), "distance": distance.numpy(), **batch})
+    for place, medium in enumerate(media.values()):
+        exact = in_water(waters[1], medium, image[place : place + 1], distance[place : place + 1])
+        np.testing.assert_allclose(result[place], exact[0].numpy(), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["frozen", "waters"])
+def test_other_tools_of_the_runtime_follow_a_file(request, tmp_path, name) -> None:
+    """Its symbolic inference of shapes, and what prepares a file for quantisation."""
+    from onnxruntime.quantization.shape_inference import quant_pre_process
+    from onnxruntime.tools.symbolic_shape_infer import SymbolicShapeInference
+
+    path, module = request.getfixturevalue(name)
+    inferred = SymbolicShapeInference.infer_shapes(onnx.load(path), auto_merge=True)
+    assert len(inferred.graph.value_info) > 100
+    quant_pre_process(path, tmp_path / "prepared.onnx")
+    medium = module.medium[0] if len(module.medium) > 1 else None
+    outputs = [
+        OnnxUnderwater(file, threads=1)(*scene(2), medium)
+        for file in (path, tmp_path / "prepared.onnx")
+    ]
+    torch.testing.assert_close(*outputs, rtol=0, atol=2e-5)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 40), (23, 16), (65, 130)])

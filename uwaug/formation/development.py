@@ -231,8 +231,7 @@ def metered(J: Tensor, z: Tensor, medium: Medium, T: Curves | None = None) -> Me
         T = Curves(*(_at(curve, points) for curve in T))
     arriving = medium.image(_at(z, points), light, light, T)
     scene, means, positive = (x.mean((-2, -1)) for x in (light, arriving, arriving.clamp(min=0.0)))
-    brightest = arriving.flatten(2).amax(1)
-    highlight = brightest.topk(round(BURNT * METERED)).values[:, -1:]
+    highlight = _brightest(arriving).flatten(1).topk(round(BURNT * METERED)).values[:, -1:]
     return Means(scene, means, positive, highlight)
 
 
@@ -343,9 +342,15 @@ def _luminance(light: Tensor) -> Tensor:
     return (light * light.new_tensor(LUMINANCE)).sum(-1, keepdim=True)
 
 
+def _brightest(light: Tensor) -> Tensor:
+    # not amax(1), whose shape ONNX Runtime's symbolic inference does not know
+    red, green, blue = light.unbind(1)
+    return red.maximum(green).maximum(blue)[:, None]
+
+
 def compressed(light: Tensor, share: float | Tensor) -> Tensor:
     """Light (Bx3xHxW) with colours outside of the gamut moved inside by a share of the way."""
-    brightest = light.amax(1, keepdim=True)
+    brightest = _brightest(light)
     lit = brightest > 0
     distance = 1 - light / torch.where(lit, brightest, 1.0)
     beyond = (distance - GAMUT_FROM).clamp(min=0.0) * _BEYOND

@@ -222,7 +222,7 @@ def _straight(water: Medium, z: Tensor) -> Tensor:
     if water.is_spectral:
         # by row, as a stack may hold grey surfaces, too
         aside = 1 - torch.eye(3, dtype=z.dtype, device=z.device)[:, :, None]
-        mixes = (water.signal_weights * aside).abs().amax((1, 2, 3)).reshape(-1, 1, 1, 1) > 0
+        mixes = (water.signal_weights * aside).abs().sum((1, 2, 3)).reshape(-1, 1, 1, 1) > 0
         direct, signal = (torch.where(mixes, x.sum(1, keepdim=True), x) for x in (direct, signal))
     return (direct / signal.clamp(min=_MIN_LIGHT)).clamp(max=1.0)
 

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from uwaug import __version__
 from uwaug._support.codec import from_plain
@@ -98,13 +99,17 @@ def coefficients_of(medium: Medium, light: Light | None = None) -> dict[str, Ten
 
 
 def input_rows(media: Mapping[str, Medium], light: Light | None = None) -> dict[str, Any]:
-    """`coefficients_of` named media (`waters`) for JSON, with meanings and units (`inputs`)."""
-    rows = {
-        name: {key: value.tolist() for key, value in coefficients_of(medium, light).items()}
-        for name, medium in media.items()
-    }
+    """`coefficients_of` named media (`waters`) for JSON, with meanings and units (`inputs`). Zeros
+    bring all to as many rates, so that rows of several make a batch.
+    """
+    rows = {name: coefficients_of(medium, light) for name, medium in media.items()}
     names = {key: described(key) for row in rows.values() for key in row}
-    return {"uwaug_version": __version__, "inputs": names, "waters": rows}
+    most = {key: max(row[key].shape[-1] for row in rows.values()) for key in names}
+    waters = {
+        name: {key: pad(x, (0, most[key] - x.shape[-1])).tolist() for key, x in row.items()}
+        for name, row in rows.items()
+    }
+    return {"uwaug_version": __version__, "inputs": names, "waters": waters}
 
 
 class OnnxUnderwater:
