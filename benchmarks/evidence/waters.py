@@ -8,7 +8,7 @@ half of the films of a green fjord; tested on the other half, at home, and on th
 folder holds; its parts that choose and judge are both used, as nothing is chosen.
 
 Nets see every crop four times: as it is, and three draws of an arm on top. Crops that are prepared
-are so in tests, too. Histograms are those of pictures that are shown of the other sets.
+are so last, and in tests, too. Histograms are those of pictures that are shown of the other sets.
 """
 
 import argparse
@@ -86,9 +86,9 @@ def histograms(shown: list[Array]) -> Arm:
     return arm
 
 
-def clahe(images: Array) -> Array:
+def clahe(crops: Crops) -> Array:
     """Histograms equalised by tiles (Nx48x48x3, uint8)."""
-    equalised = np.stack([equalize_adapthist(image) for image in images])
+    equalised = np.stack([equalize_adapthist(image) for image in crops.images])
     return np.round(255 * equalised).astype(np.uint8)
 
 
@@ -104,11 +104,13 @@ ON_TOP: dict[str, Callable[[list[Array]], Arm]] = {
 }
 """What is put on top, by pictures of the tests, without labels, for those that want some."""
 
-PREPARED: dict[str, Callable[[Crops], Array]] = {
-    "CLAHE": lambda crops: clahe(crops.images),
-    "grey-world": grey_world,
+PREPARED: dict[str, tuple[str, Callable[[Crops], Array]]] = {
+    "CLAHE": (AS_THEY_ARE, clahe),
+    "grey-world": (AS_THEY_ARE, grey_world),
+    f"{PRESET}, then CLAHE": (PRESET, clahe),
+    f"{PRESET}, then grey-world": (PRESET, grey_world),
 }
-"""What is done to all crops, in training and in tests, with nothing on top."""
+"""What is put on top, and what is done to all crops, in training and in tests."""
 
 
 def halves(films: Any) -> Array:
@@ -127,19 +129,29 @@ def half(crops: Crops, which: int) -> Crops:
     return Crops(*(None if values is None else values[chosen] for values in crops))
 
 
+def of_draws(crops: Crops, images: Array) -> Crops:
+    """Crops with draws of them, whose pictures' light has changed as that of the crops has."""
+    times = len(images) // len(crops.images)
+    of_crops, of_images = (
+        ((x / 255) ** 2.2).mean((1, 2)).clip(min=1e-3) for x in (crops.images, images)
+    )
+    light = np.tile(crops.light / of_crops, (times, 1)) * of_images
+    return crops._replace(images=images, light=light)
+
+
 def asked(
     arm: str, crops: Crops, tests: dict[str, Crops], shown: list[Array], seed: int
 ) -> dict[str, Array]:
     """Answers of a net that was trained on crops as they are and with an arm on top."""
     torch.manual_seed(seed)
-    if arm in PREPARED:
-        crops, *tested = (x._replace(images=PREPARED[arm](x)) for x in (crops, *tests.values()))
-        tests = dict(zip(tests, tested, strict=True))
+    on_top, prepared = PREPARED.get(arm, (arm, lambda crops: crops.images))
     pool = tasks.fish_pool(crops.images, crops.labels, np.random.default_rng(seed))
     dry, labels = degraded(none, pool, 1, seed)
-    on_top = ON_TOP.get(arm, ON_TOP[AS_THEY_ARE])(shown)
-    wet, of_wet = degraded(on_top, pool, DRAWS, seed + 1)
-    pictures, truth = torch.cat([dry, wet]), torch.cat([labels, of_wet])
+    wet, of_wet = degraded(ON_TOP[on_top](shown), pool, DRAWS, seed + 1)
+    truth = torch.cat([labels, of_wet])
+    drawn_crops = of_draws(crops, torch.cat([dry, wet]).permute(0, 2, 3, 1).numpy())
+    pictures = torch.from_numpy(prepared(drawn_crops)).permute(0, 3, 1, 2)
+    tests = {name: test._replace(images=prepared(test)) for name, test in tests.items()}
     net = trained(pictures, truth, int(truth.max()) + 1, STEPS, seed)
     return {name: answers(net, test, balanced=False) for name, test in tests.items()}
 

@@ -60,7 +60,7 @@ def test_tests_are_prepared_as_what_is_learnt(arm: str, monkeypatch: pytest.Monk
     monkeypatch.setattr(waters, "STEPS", 1)
     monkeypatch.setattr(waters, "answers", lambda net, test, balanced: seen.append(test.images))
     waters.asked(arm, crops(), {"test": crops()}, [], 0)
-    assert (seen[0] == waters.PREPARED[arm](crops())).all()
+    assert (seen[0] == waters.PREPARED[arm][1](crops())).all()
     assert (seen[0] != crops().images).mean() > 0.5
 
 

@@ -45,6 +45,14 @@ def test_what_does_not_suit_is_refused(known):
                 door(**(inputs | change(*known)))
 
 
+def test_relative_distances_are_doubted(known):
+    clean, observed, z = known
+    relative = (z - z.min()) / (z.max() - z.min())
+    for pictures in (clean, None):
+        with pytest.warns(UserWarning, match="in 0…1, which looks relative: a fit needs metres"):
+            Pictures.of(pictures, observed, relative, "srgb")
+
+
 def test_what_is_unknown_and_what_is_open_water(known):
     clean, observed, z = known
     sea = torch.arange(z.numel()).reshape(z.shape) % 5 == 0

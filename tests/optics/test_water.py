@@ -5,6 +5,7 @@ Their copies and what is wrong with files, of cameras, too.
 import copy
 import math
 import pickle
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +215,20 @@ def test_absorption_and_attenuation_are_enough(tmp_path: Path) -> None:
         for name in ("a", "b", "kd"):  # the model of contents takes the same K_d
             np.testing.assert_allclose(getattr(water, name), getattr(lake, name), rtol=1e-12)
     assert water.provenance == ("a, c: ac.csv", "b: c − a", "K_d: of a and b by Kirk 1984")
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1])
+def test_a_table_below_pure_water_is_doubted(tmp_path: Path, share: float) -> None:
+    """In 1/cm, or of contents alone; blue light tells nothing, as pure water hardly absorbs it."""
+    path, lake = tmp_path / "lake.csv", Water.from_constituents(chlorophyll=3, minerals=1)
+    for nm in (lake.wavelengths, lake.wavelengths[lake.wavelengths < 570]):
+        water = lake.at(nm)
+        rows = np.array([nm, share * water.a, share * water.b, share * water.kd]).T
+        np.savetxt(path, rows, "%.17g", ",")
+        with warnings.catch_warnings(record=True) as doubts:
+            warnings.simplefilter("always")
+            load_water(path)
+        assert ["in 1/cm, times 100" in str(x.message) for x in doubts] == [True] * int(nm[-1] > 600)
 
 
 SENSOR = "400,0,1,2\n500,0,3,0\n700,4,1,0\n"

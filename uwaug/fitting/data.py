@@ -5,6 +5,7 @@ Any width law is a mixture of these blurs. They do not depend on the water, so t
 
 import io
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +22,7 @@ from uwaug._support.codec import plain
 from uwaug._support.types import Array, ColorSpace, Shape
 from uwaug.blur.plan import BlurPlan, plan_blur
 from uwaug.blur.stack import blurred, mixed, node_weights
+from uwaug.distance.doubts import doubts
 from uwaug.formation.colour import decoded, encoded, require_values
 from uwaug.formation.image import form
 from uwaug.formation.inputs import batch_sizes
@@ -79,6 +81,8 @@ class Pictures:
             checks.within("jpeg", jpeg, 1, 100)
         checks.batches(batch_sizes(observed=observed, distance=distance, clean=clean))
         checks.metres("distance", distance)
+        for sentence in doubts(distance):
+            warnings.warn(f"{sentence.partition(':')[0]}: a fit needs metres", stacklevel=3)
         wet = _light(observed, color_space, "observed")
         dry = torch.zeros_like(wet[:1])
         if clean is not None:

@@ -3,6 +3,7 @@
 import math
 import os
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -38,6 +39,7 @@ from uwaug.optics.spectra import (
 CONTRAST_THRESHOLD = 0.02  # the contrast at which an object is no longer seen (Koschmieder 1924)
 
 _VISIBLE_NM = (400.0, 700.0)
+_RED_NM = (580.0, 800.0)  # where any water absorbs about as pure water does, or more
 _BIO_OPTICAL = (
     "a, b, K_d: bio-optical model of Bricaud et al. 1998, Loisel & Morel 1998, Haltrin 1999, Babin "
     "et al. 2003 and Kirk 1984"
@@ -405,9 +407,18 @@ def _read_csv(path: Path) -> Water:
             particles = np.maximum(spectra["b"] - molecules, 0)
             spectra["K_d"] = kd_of(spectra["a"], molecules, particles)
         columns = (spectra[name] for name in ("wavelength", "a", "b", "K_d"))
-        return Water(*columns, name=path.stem, provenance=sources)
+        water = Water(*columns, name=path.stem, provenance=sources)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+    is_red = (water.wavelengths >= _RED_NM[0]) & (water.wavelengths <= _RED_NM[1])
+    if is_red.any():
+        red, absorbed = water.wavelengths[is_red], water.a[is_red]
+        least = pure_water(red.tobytes())[0]
+        if (absorbed < 0.5 * least).any():
+            given = f"a is {absorbed[-1]:.3g} at {red[-1]:g} nm, pure water's {least[-1]:.3g} 1/m"
+            cure = "in 1/cm, times 100; of contents alone, add that of water"
+            warnings.warn(f"{path}: {given}: {cure}", stacklevel=3)
+    return water
 
 
 @compiled
