@@ -235,6 +235,25 @@ def training() -> str:
     )
 
 
+def wet() -> str:
+    """What water on top gains for nets that are trained on wet pictures."""
+    crops, persons = load("waters"), load("wet_persons")
+    costs = "; ".join(f"{arm} {ms:.1f}" for arm, ms in crops["ms"].items() if ms)
+    short = {
+        title.replace("choose/", "").replace("land/val", "air"): title
+        for title in persons["tables"]
+    }
+    return (
+        f"{crops['nets']} nets an arm. Bold: the interval over films, too, leaves out 0.\n\n"
+        + _gains("on top of crops", crops["tables"])
+        + f"\n\nMilliseconds of a picture of 256², one thread: {costs}.\n\n"
+        f"**Persons**, AP50 of YOLOX-nano, {persons['nets']} nets an arm:\n\n"
+        + _gains(
+            "on top", {head: persons["tables"][title] for head, title in short.items()}, ("blocks",)
+        )
+    )
+
+
 def detector() -> str:
     """What training gains for a detector, and where markers are read."""
     found, markers = load("detector"), load("markers")
@@ -311,6 +330,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "fits": fits,
     "speed": speed,
     "training": training,
+    "wet": wet,
     "detector": detector,
     "restore": restore,
 }

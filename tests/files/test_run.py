@@ -492,33 +492,3 @@ def test_killed_and_resumed() -> None:
 
 
 # On Ray
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_ray_writes_the_same() -> None:
-    ray = pytest.importorskip("ray")
-    paths = os.environ["PYTHONPATH"]
-    ray.init(
-        "local",
-        num_cpus=2,
-        include_dashboard=False,
-        log_to_driver=False,
-        logging_level="error",
-        object_store_memory=10**8,
-        runtime_env={"env_vars": {"PYTHONPATH": paths, "RAY_USAGE_STATS_ENABLED": "0"}},
-    )
-    try:
-        Path("all/3.png").write_bytes(b"")
-        here = degrade(RECIPE, rows(), "here")
-        there = degrade(RECIPE, rows(), "there", ray="local")
-        from uwaug.files.ray import on_ray
-
-        jobs = ["0", "1", "deadly", "3"]
-        told = list(on_ray(Deadly(), jobs, "local", 2))
-    finally:
-        ray.shutdown()
-    assert there == here
-    assert content("there") == content("here")
-    assert told == ["did 0", "did 1", "died over deadly", "did 3"]

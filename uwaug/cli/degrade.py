@@ -131,7 +131,6 @@ def degrade(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show rows of the table, and what has none; then end.")
     ] = False,
-    ray: Annotated[str | None, typer.Option(help="Ray cluster: auto, host:port, or local.")] = None,
     maps: Annotated[
         str | None,
         typer.Option(
@@ -223,7 +222,7 @@ def degrade(
         for folder, left in _grades(severity).items():
             graded = recipe if left is None else recipe.at_contrast(left)
             with counted() as progress:
-                how |= {"beside": references, "ray": ray, "progress": progress}
+                how |= {"beside": references, "progress": progress}
                 summaries.append(run(graded, rows, out / folder, **how))
             _print_summary(summaries[-1], out / folder)
     end_if_failed([failure for summary in summaries for failure in summary.failures])

@@ -18,7 +18,6 @@ from uwaug.files.films import Frame
 from uwaug.files.folder import NOT_OURS, RunFolder, held
 from uwaug.files.labels import Judged, Labels
 from uwaug.files.pool import on_processes
-from uwaug.files.ray import on_ray
 from uwaug.files.record import digest, reason_of, record_of, record_path, write_record
 from uwaug.files.sheet import drawn_sheet
 from uwaug.files.summary import Result, Summary
@@ -133,7 +132,6 @@ def run(
     workers: int = 1,
     resume: bool = False,
     force: bool = False,
-    ray: str | None = None,
     sheet: bool = False,
     beside: Sequence[Path] = (),
     lists: Mapping[str, bytes] | None = None,
@@ -153,11 +151,10 @@ def run(
         for parent in {out, *((out / file).parent for file in files)}:
             remove_left(parent)  # parts of files of a killed run
         notes = folder.write_lists(lists or {})
-        stream = on_ray(work, jobs, ray, workers) if ray else on_processes(work, jobs, workers)
         results: list[Result] = []
         say = progress or (lambda count, total: None)
         say(0, len(jobs))
-        for result in stream:
+        for result in on_processes(work, jobs, workers):
             results.append(result)
             say(len(results), len(jobs))
         made = [result for result in results if result.status != "failed"]

@@ -42,7 +42,6 @@ def degrade(
     force: bool = False,
     sheet: bool = False,
     beside: Sequence[Path] = (),
-    ray: str | None = None,
     progress: Progress | None = None,
 ) -> Summary:
     """Put pictures in files under water.
@@ -60,7 +59,6 @@ def degrade(
         force: remove first what an earlier run has written to `out`.
         sheet: draw some of the results on sheet.jpg.
         beside: real photographs to draw there, below them.
-        ray: address of a Ray cluster in place of processes: "local", "auto", or host:port.
         progress: function of the numbers of finished and of all pictures.
 
     Raises:
@@ -87,7 +85,6 @@ def degrade(
         workers=workers,
         resume=resume,
         force=force,
-        ray=ray,
         sheet=sheet,
         beside=beside,
         lists={"table.csv": table_in(out, rows)},
