@@ -73,7 +73,8 @@ def _published(name: str, images: Tensor, distances: Tensor) -> Tensor:
     degraded = []
     for image, distance in zip(images, distances, strict=True):
         water = TYPES[int(torch.randint(len(TYPES), ()))]
-        degraded.append(uwaug.published.augment(name, water=water)(image, distance)[0])
+        random = {"generator": torch.default_generator}
+        degraded.append(uwaug.published.system(name)(image, distance, water, **random))
     return torch.stack(degraded)
 
 

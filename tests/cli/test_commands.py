@@ -539,18 +539,17 @@ def test_presets_and_waters_are_listed(run, tmp_path, monkeypatch):
     rows = json.loads(run("waters", "--json")[1])
     assert {*uwaug.JERLOV_TYPES, "harbour"} <= set(rows["waters"])
     medium = uwaug.load_preset("survey", water="7C").module().medium
-    assert rows["waters"]["7C"]["beta"] == medium.beta.float().tolist()
+    (rates,) = rows["waters"]["7C"]["beta"]
+    assert [*filter(None, rates)] == medium.beta[0].float().tolist()
 
 
-def test_waters_of_ones_own_are_listed_and_drawn(folder, run):
+def test_waters_of_ones_own_are_listed_and_compared(folder, run):
     (folder / "site.csv").write_text("nm;a;b;kd\n400;0,1;0,2;0,1\n700;0,6;0,1;0,7\n")
     (folder / "green.csv").write_text("nm,a,b,kd\n450,.1,.2,.1\n640,.6,.1,.7\n")
-    code, out, _ = run("waters", "site.csv", "green.csv", "chlorophyll=5", "--plot", "waters.png")
+    code, out, _ = run("waters", "site.csv", "green.csv", "chlorophyll=5")
     assert code == 0
     assert "site, yours" in out
     assert "green, yours" in out
-    assert (folder / "waters.png").stat().st_size > 0
-    assert run("waters", "--plot", "waters.png")[0] == 2  # it is there
     code, _, err = run("waters", "nowhere.csv")
     assert (code, "nowhere.csv" in err) == (1, True)
     scene = ("photos/a.png", "--distance", "3", "--water", "site.csv", "--out", "systems.jpg")

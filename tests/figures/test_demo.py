@@ -6,7 +6,6 @@ import torch
 from uwaug import Lamp, Light, Medium, PointSpread, Underwater, Water, load_preset, published
 from uwaug.figures import comparison, demo
 from uwaug.figures.demo import preset_case, water_case
-from uwaug.figures.spectra import draw_spectra
 from uwaug.formation.colour import decoded
 from uwaug.presets.scene import Scene
 
@@ -90,13 +89,3 @@ def test_a_water_of_spectra_is_drawn_by_all_that_take_spectra(shown, small):
     assert {*published.systems()} - {*shown} == {"li-2020", "slurpp-2025"}
     with pytest.raises(ValueError, match=r"water must be one of I, .*'chlorophyll=2"):
         comparison.draw_comparison(small, "chlorophyll=2", ["hou-2020", "UWCNN"])
-
-
-def test_spectra_are_drawn_with_ones_own():
-    own = Water([400, 700], a=[0.1, 0.4], b=[0.2, 0.1], kd=[0.2, 0.5], name="site")
-    figure = draw_spectra([own], [Water.jerlov("I"), Water.jerlov("9C")])
-    for axis, name in zip(figure.axes, ("a", "b", "kd"), strict=True):
-        lines = {line.get_label(): line for line in axis.lines}
-        assert list(lines) == ["I", "9C", "site"]
-        assert lines["site"].get_ydata().tolist() == getattr(own, name).tolist()
-        assert lines["9C"].get_ydata().tolist() == getattr(Water.jerlov("9C"), name).tolist()

@@ -171,7 +171,6 @@ def test_draws_are_of_each_picture_within_the_range_and_repeat(name):
     ("function", "arguments", "words"),
     [
         (published.system, ("jaffe",), "system must be one of mcglamery-1980, jaffe-1990"),
-        (published.augment, ("nobody-1999",), "system must be one of"),
         (published.li_2020, (IMAGE, Z, "11C"), "water must be one of I, IA, IB"),
         (published.slurpp_2025, (IMAGE, Z, random_water()), "water must be one of I"),
         (partial(published.liu_2022, light="lamp"), (IMAGE, Z), "light must be one of uniform"),
@@ -184,25 +183,6 @@ def test_draws_are_of_each_picture_within_the_range_and_repeat(name):
 def test_what_is_refused(function, arguments, words):
     with pytest.raises(ValueError, match=words):
         function(*arguments)
-
-
-def test_a_system_in_a_pipeline():
-    image, z = IMAGE.float(), Z.float()
-    options = {"water": "7C", "vertical_depth": 3.0}
-    expected = published.akkaynak_2018(image, z, **options)
-    result, *others = published.augment("akkaynak-2018", **options)((image, z, 7))
-    assert torch.equal(result, expected)
-    assert others == [z, 7]
-    named = published.augment("akkaynak-2018", keys=("rgb", "z"), **options)
-    assert torch.equal(named({"rgb": image, "z": z})["rgb"], expected)
-    drawn = published.augment("ueda-2019")
-    torch.manual_seed(1)
-    first, second = (drawn(image, z)[0] for _ in range(2))
-    torch.manual_seed(1)
-    assert torch.equal(first, drawn(image, z)[0])
-    assert not torch.equal(first, second)
-    with pytest.raises(TypeError, match="li-2020 has no 'camera', only water, vertical_depth"):
-        published.augment("li-2020", camera="Nikon 5100 (NPL)")
 
 
 @pytest.mark.parametrize("name", LAMPS)

@@ -39,7 +39,7 @@ _COMMANDS = (
     ("Pictures", demo, ""),
     ("Waters", fit, "--clean air.png --observed wet.png --distance depth.npy --out fit.json"),
     ("Waters", fit_patches, "charts.csv --color-space linear --out water.json"),
-    ("Waters", waters, "site.csv --plot waters.png"),
+    ("Waters", waters, "site.csv"),
     ("ONNX files", export, "--preset survey --water 7C --out 7C.onnx"),
     ("ONNX files", check, "7C.onnx"),
     ("This machine", warm_up, ""),

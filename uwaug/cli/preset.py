@@ -2,13 +2,12 @@
 
 import json
 from contextlib import suppress
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from uwaug.cli.choices import PLACES, WATERS, Force, Preset, complete
-from uwaug.cli.console import print_written, reported_errors, require_writable
+from uwaug.cli.choices import PLACES, WATERS, Preset, complete
+from uwaug.cli.console import reported_errors
 from uwaug.presets.files import list_presets, preset_path
 
 _TABLE_COLUMNS = 250  # more letters than any row has
@@ -61,18 +60,12 @@ def waters(
         list[str] | None,
         typer.Argument(metavar="[WATER]...", help="Waters of your own: contents, or CSV files."),
     ] = None,
-    plot: Annotated[
-        Path | None, typer.Option(help="PNG file to write: a, b and K_d of all of them.")
-    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print inputs for uwaug export --coefficients.")
     ] = False,
     preset: Preset = "survey",
-    force: Force = False,
 ) -> None:
     """List the waters: visibility, attenuation, doubts. Or, as JSON, their numbers in a preset."""
-    if plot is not None:
-        require_writable(plot, force=force, endings=(".png",))
     names = (*(own or ()), *WATERS, *PLACES)
     if as_json:
         from uwaug.onnx import input_rows
@@ -88,7 +81,6 @@ def waters(
     from rich.table import Table
 
     from uwaug import Constituents, load_camera, load_water
-    from uwaug._support.extras import require
     from uwaug.optics.constituents import PLACES as CONTENTS
     from uwaug.optics.jerlov import IN_WORDS
     from uwaug.optics.reduction import default_bands
@@ -117,11 +109,3 @@ def waters(
             # values taken from the table as a whole have a citation without wavelengths
             if " nm: " in note:
                 print(f"  {note}")
-    if plot is not None:
-        with reported_errors():
-            require("plot", "matplotlib")
-            from uwaug.figures.spectra import draw_spectra
-
-            count = len(own or ())
-            draw_spectra(waters[:count], waters[count:]).savefig(plot)
-        print_written(plot)

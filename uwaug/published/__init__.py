@@ -18,7 +18,6 @@ Examples:
 from typing import TYPE_CHECKING
 
 from uwaug.published import models as models
-from uwaug.published.augment import augment as augment
 from uwaug.published.equation import FUNCTIONS
 from uwaug.published.equation import picture as picture
 from uwaug.published.equation import system as system
@@ -29,4 +28,4 @@ if TYPE_CHECKING:  # signatures of the names that the next line brings
     from uwaug.published.models import *  # noqa: F403
 
 globals().update(FUNCTIONS)
-__all__ = sorted(["augment", "picture", "system", "systems", "takes_spectra", *FUNCTIONS])  # noqa: PLE0605
+__all__ = sorted(["picture", "system", "systems", "takes_spectra", *FUNCTIONS])  # noqa: PLE0605
