@@ -69,6 +69,18 @@ def tags_of(picture: Array, ids: Any, quads: Array, block: str) -> Iterator[Tag]
         yield Tag(block, high - low, side, is_read, name, quad)
 
 
+def film_of(kit: Any, folder: Path) -> list[tuple[Array, list[Tag]]]:
+    """Frames of the film, with their markers."""
+    groups = json.loads((folder / "choose/groups.json").read_text())["tags"]
+    truth, frames = kit.tags("choose/tags", folder), list[tuple[Array, list[Tag]]]()
+    for frame in kit.load("choose/tags", folder):
+        boards = truth.get(frame.name, [])
+        quads = np.array([board["corners"] for board in boards])
+        ids = [board["id"] for board in boards]
+        frames.append((frame.image, [*tags_of(frame.image, ids, quads, groups[frame.name])]))
+    return frames
+
+
 def of_boards(
     kit: Any, photographs: list[Array], augment: uwaug.RandomUnderwater, **boards: Any
 ) -> list[Tag]:
@@ -145,22 +157,15 @@ def main(
     """Read, train, compare, print, save and draw. What a net reads is kept in `answered`."""
     torch.set_num_threads(1)
     kit = module(folder)
-    groups = json.loads((folder / "choose/groups.json").read_text())["tags"]
-    truth, frames = kit.tags("choose/tags", folder), kit.load("choose/tags", folder)
-    of_frames: list[list[Tag]] = []
-    for frame in frames:
-        boards = truth.get(frame.name, [])
-        quads = np.array([board["corners"] for board in boards])
-        ids = [board["id"] for board in boards]
-        of_frames.append([*tags_of(frame.image, ids, quads, groups[frame.name])])
-    film = [tag for tags in of_frames for tag in tags]
+    truth, frames = kit.tags("choose/tags", folder), film_of(kit, folder)
+    film = [tag for _, tags in frames for tag in tags]
     low, high = np.percentile([t.side for t in film], (2.5, 97.5))
     names = sorted({board["id"] for boards in truth.values() for board in boards})
     air, other = (
         [sample.image for sample in kit.load(f"land/{part}", folder)] for part in ("train", "val")
     )
     places = range(0, len(frames), len(frames) // SHOWN_FRAMES)[:SHOWN_FRAMES]
-    shown = [frames[place].image for place in places]
+    shown = [frames[place][0] for place in places]
     references, looked = (
         [torch.from_numpy(picture.copy()).permute(2, 0, 1) for picture in some]
         for some in (shown, air[::22][:8])
@@ -179,8 +184,8 @@ def main(
     for name, of in curves.items():
         print(name, of, flush=True)
     unseen = [
-        (frame.image, tags)
-        for place, (frame, tags) in enumerate(zip(frames, of_frames, strict=True))
+        (picture, tags)
+        for place, (picture, tags) in enumerate(frames)
         if place not in places and tags
     ]
     with keeper(answered) as answers:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.evidence import net, readers
+from benchmarks.evidence import net, readers, wet_tags
 from benchmarks.evidence.tasks import SIDE
+from benchmarks.evidence.waters import PRESET
 
 
 def test_a_crop_has_the_tag_in_its_middle_whatever_its_place_and_size() -> None:
@@ -85,3 +86,20 @@ def test_arms_are_compared_by_the_means_of_their_nets() -> None:
 
 
 NETS = {"two": [0.5, 0.7], "one": [0.2], "paired": [0.4, 0.6]}
+
+
+def test_a_film_is_learnt_as_it_is_and_with_water_on_top(monkeypatch: pytest.MonkeyPatch) -> None:
+    corners = 2 * np.array([[100, 60], [130, 60], [130, 90], [100, 90]])
+    frame = np.full((2 * readers.SIZE[1], 2 * readers.SIZE[0], 3), 120, np.uint8)
+    scenes = wet_tags.learnt_of([(frame, [readers.Tag("block", 50.0, 60.0, True, 3, corners)])])
+    assert scenes[0].boxes.tolist() == [[100, 60, 130, 90]]
+    seen = []
+
+    monkeypatch.setattr(wet_tags, "trained", lambda x, names, *_: seen.extend([x.float(), names]))
+    monkeypatch.setattr(wet_tags, "logits", lambda model, crops: torch.eye(readers.IDS)[:2])
+    crops = torch.zeros(2, 3, SIDE, SIDE, dtype=torch.uint8)
+    assert wet_tags.asked(PRESET, scenes, [], crops, 0).tolist() == [0, 1]
+    dry, wet = seen[0].split([readers.VIEWS, wet_tags.DRAWS * readers.VIEWS])
+    assert (dry - 120).abs().max() < 5
+    assert (wet - 120).abs().mean() > 5
+    assert seen[1].tolist() == [3] * readers.VIEWS * (1 + wet_tags.DRAWS)
