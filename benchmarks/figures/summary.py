@@ -237,20 +237,16 @@ def training() -> str:
 
 def wet() -> str:
     """What water on top gains for nets that are trained on wet pictures."""
-    crops, persons = load("waters"), load("wet_persons")
-    costs = "; ".join(f"{arm} {ms:.1f}" for arm, ms in crops["ms"].items() if ms)
-    short = {
-        title.replace("choose/", "").replace("land/val", "air"): title
-        for title in persons["tables"]
-    }
+    crops, persons, tags = load("waters"), load("wet_persons"), load("wet_tags")
+    costs = ", ".join(f"{arm} {ms:.1f}" for arm, ms in crops["ms"].items() if ms)
     return (
-        f"{crops['nets']} nets an arm. Bold: the interval over films, too, leaves out 0.\n\n"
-        + _gains("on top of crops", crops["tables"])
+        f"{crops['nets']} nets an arm; bold: apart from nothing on top, over films, too.\n\n"
+        + _apart(crops["tables"], ("blocks", "films"))
         + f"\n\nMilliseconds of a picture of 256², one thread: {costs}.\n\n"
         f"**Persons**, AP50 of YOLOX-nano, {persons['nets']} nets an arm:\n\n"
-        + _gains(
-            "on top", {head: persons["tables"][title] for head, title in short.items()}, ("blocks",)
-        )
+        + _apart(persons["tables"], ("blocks",))
+        + f"\n\n**Markers**, share that {tags['nets']} nets read which have learnt a film's:\n\n"
+        + _apart(tags["tables"], ("blocks",))
     )
 
 
@@ -316,10 +312,23 @@ def _gains(title: str, columns: Results, intervals: Sequence[str] = ("blocks", "
 def _gain(row: Results, intervals: Sequence[str]) -> str:
     if not any(row["blocks"]):  # the defaults themselves
         return f"{row['score']:.{_digits(row)}f}"
-    certain = all(row[kind][0] > 0 or row[kind][1] < 0 for kind in intervals)
-    digits = _digits(row)
+    certain, digits = _is_certain(row, intervals), _digits(row)
     difference = f"{row['difference']:+.{digits}f}".replace("-", "−")
     return f"{row['score']:.{digits}f} ({f'**{difference}**' if certain else difference})"
+
+
+def _is_certain(row: Results, intervals: Sequence[str]) -> bool:
+    return all(row[kind][0] > 0 or row[kind][1] < 0 for kind in intervals)
+
+
+def _apart(columns: Results, intervals: Sequence[str]) -> str:
+    """Scores of arms, bold where an interval of their gain leaves out 0."""
+    rows = []
+    for arm in next(iter(columns.values())):
+        cells = [(f"{scores[arm]['score']:.2f}", scores[arm]) for scores in columns.values()]
+        rows.append([arm, *(f"**{x}**" if _is_certain(row, intervals) else x for x, row in cells)])
+    titles = [title.replace("choose/", "").replace("land/val", "air") for title in columns]
+    return table(["on top", *titles], rows)
 
 
 SECTIONS: dict[str, Callable[[], str]] = {

@@ -100,10 +100,13 @@ def test_labels_of_a_folder() -> None:
         ("ds/images/train/1.jpg", "train"),
         ("ds/valid/images/1.jpg", "val"),
         ("ds/train/a/test/1.jpg", "test"),
-        ("ds/train2017/train.jpg", ""),
+        ("ds/val2017/1.jpg", "val"),
+        ("ds/Training/1.jpg", "train"),
+        ("ds/trains/train.jpg", ""),
+        ("ds/train1/1.jpg", ""),
     ],
 )
-def test_a_split_is_a_folder_of_exactly_that_name(picture: str, split: str) -> None:
+def test_a_split_is_a_folder_of_that_name_with_a_year_or_without(picture: str, split: str) -> None:
     touch(picture)
     for source in ("ds", Path(picture).parent):
         assert columns(propose(source), "split") == [split]
@@ -219,12 +222,13 @@ def test_names_are_paths_below_the_table_or_below_what_holds_all_pictures() -> N
     [
         ("", "expected a column picture"),
         ("picture,Distances\n1.png,1.npy\n", "expected a column distance, .* got distances"),
+        ("picture,depth\n1.png,1.npy\n", "expected a column distance, .* got depth"),
         ("image,depth\n1.png,1.npy\n", "expected a column picture, .* got image, depth"),
         ("picture\n", "and rows below it, got picture"),
         ("picture,distance\n1.png\n", "line 2: has 1 cells and the first line 2"),
         ('picture\n"1.png\n', "is no line of CSV"),
         ("picture,film\n,f\n", "line 2: picture is empty"),
-        ("picture,split\n1.png,\n2.png,dev\n", "line 3: split must be one of train, val, valid"),
+        ("picture,split\n1.png,\n2.png,dev\n", "line 3: split must be one of train, training, val"),
         ("picture,time\n1.png,noon\n", "line 2: time must be a number, got noon"),
         ("picture,time\n1.png,nan\n", "line 2: time must be a number, got nan"),
     ],

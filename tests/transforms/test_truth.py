@@ -82,5 +82,10 @@ def test_numbers_can_be_written_and_a_picture_left_alone_has_none() -> None:
     record = aug.make_params(picture())
     scenes = aug.scenes(picture(), distances(), record)
     assert scenes.truth() is None
+    aug = RandomUnderwater("II")
+    two = aug.scenes(picture(2), distances(2) + 1, aug.make_params(picture(2)))
+    assert two.truth(1) is not None
+    with pytest.raises(ValueError, match="truth is of one picture: give 0…1"):
+        two.truth()
     with pytest.raises(IndexError, match=r"picture must be 0…0, got 1"):
         scenes.truth(1)

@@ -104,8 +104,9 @@ class AlbumentationsUnderwater(_Hooks, ImageOnlyTransform):  # type: ignore[misc
         checks.within("p", p, 0.0, 1.0)
         checks.within("min_contrast", min_contrast or 0.0, 0.0, 1.0)
         super().__init__(p=p)
-        if not isinstance(augment, RandomUnderwater):
+        if augment is None or isinstance(augment, Mapping):
             augment = RandomUnderwater.from_dict(augment or {})
+        checks.instance("augment", augment, RandomUnderwater, "; hidden boxes go by min_contrast")
         if augment.p != 1:
             raise ValueError(f"augment.p must be 1, got {augment.p}: give p to the adapter instead")
         checks.one_of("channels", channels, ("rgb", "bgr", "grey"))

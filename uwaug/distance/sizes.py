@@ -25,7 +25,9 @@ def require_aspect(name: str, distance: Tensor, image: Tensor) -> None:
     size, other = tuple(distance.shape[-2:]), tuple(image.shape[-2:])
     if size != other and (0 in size or not same_aspect(size, other)):
         got = f"{name} is {size} but image is {other}"
-        raise ValueError(f"{got}: height and width must agree, or their ratio: crop both alike")
+        is_turned = 0 not in size and same_aspect(size[::-1], other)
+        cure = "turn it, too, as EXIF has turned the picture" if is_turned else "crop both alike"
+        raise ValueError(f"{got}: height and width must agree, or their ratio: {cure}")
 
 
 def brought_to(size: Sequence[int], z: Tensor) -> Tensor:

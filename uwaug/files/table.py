@@ -18,7 +18,12 @@ from uwaug.files.labels import normal
 from uwaug.files.pictures import ENDINGS, MAP_ENDINGS
 from uwaug.files.search import Exclude, pictures_in
 
-SPLITS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
+SPLITS = {
+    **dict.fromkeys(("train", "training"), "train"),
+    **dict.fromkeys(("val", "valid", "validation"), "val"),
+    **dict.fromkeys(("test", "testing"), "test"),
+}
+_NOT_COLUMNS = {"depth": "distance", "map": "distance", "mask": "labels", "boxes": "labels"}
 
 _FIELD = re.compile(r"\{(\w*)\}")
 _NUMBER = re.compile(r"(\d+\.\d{3,}|\d+)")  # a whole one, or a time in seconds
@@ -77,8 +82,9 @@ def read_table(path: str | Path) -> list[Row]:
         got = ", ".join(header)
         raise ValueError(f"{path}: expected a column picture, and rows below it, got {got}")
     for column in {*header} - {*Row._fields}:
-        if near := get_close_matches(column, Row._fields, 1, 0.8):
-            raise ValueError(f"{path}: expected a column {near[0]}, or another name, got {column}")
+        near = [_NOT_COLUMNS.get(column), *get_close_matches(column, Row._fields, 1, 0.8)]
+        if meant := next((name for name in near if name and name not in header), ""):
+            raise ValueError(f"{path}: expected a column {meant}, or another name, got {column}")
     rows = []
     for number, cells in lines[1:]:
         try:
@@ -129,7 +135,7 @@ def propose(
 
     The map and the labels of a picture have its path below the folder, with another ending. Names
     must be equal, but for the case of the ending and the Unicode form of accents. The split is that
-    of the folder, in the picture's path, that is called train, val, valid or test.
+    of the folder, in the picture's path, that is called train, val, valid, test, or so: val2017.
 
     Args:
         source: a folder of PNG, JPEG, TIFF and EXR files, searched with its subfolders; or a
@@ -154,11 +160,11 @@ def propose(
     rows = []
     for path in paths:
         place = path.relative_to(folder)
-        split = next((part for part in reversed(path.parts[:-1]) if part in SPLITS), "")
+        split = next(filter(_split_of, reversed(path.parts[:-1])), "")
         shown = os.fsencode(place.as_posix()).decode(errors="backslashreplace")
         film = os.path.dirname(shown) or "." if sequence else ""
         own: Any = {pattern.column: pattern.of(path, place, split) for pattern in patterns}
-        rows.append(Row(shown, path, split=SPLITS.get(split, ""), film=film, **own))
+        rows.append(Row(shown, path, split=_split_of(split), film=film, **own))
     # files beside the pictures, but for an EXR that holds its own distances
     cells = ((row.picture, file) for row in rows for file in (row.distance, row.labels) if file)
     taken = {os.path.abspath(file) for picture, file in cells if file != picture}
@@ -166,6 +172,11 @@ def propose(
     for pattern in patterns:
         pattern.require_found(rows)
     return _timed(rows) if sequence else rows
+
+
+def _split_of(folder: str) -> str:
+    """The split that a folder's name means, with a year or without; "" if it means none."""
+    return SPLITS.get(re.sub(r"\d{4}$", "", folder.lower()), "")
 
 
 def require_rows(rows: Sequence[Row], *, with_maps: bool = False) -> None:

@@ -2,6 +2,7 @@
 
 import copy
 import hashlib
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -53,7 +54,9 @@ def take_apart(
     if "torchvision.tv_tensors" in sys.modules and [*_images(image, "image")]:
         others += [f"{name} is a second picture" for name in _images(restore(None), "sample")]
     if others:
-        cure = "a batch is a list; transform(image, distance, record) takes one record for both"
+        cure = (
+            "call it on the first alone; or a batch is a list; transform takes one record for both"
+        )
         raise ValueError(f"{others[0]}, which would stay dry: {cure}")
     return image, distance, restore
 
@@ -170,7 +173,7 @@ class SampleTransform(nn.Module):
 
 def key_of(seed: int, epoch: int, index: Any) -> int:
     """The seed of a key, see `at`: the 32 bits that a generator of torch takes."""
-    name = index if isinstance(index, str) else whole_number(index)
+    name = os.fspath(index) if isinstance(index, str | os.PathLike) else whole_number(index)
     text = f"{whole_number(seed)}/{whole_number(epoch)}/{name}"
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest())
 
@@ -189,7 +192,7 @@ def typed(x: Tensor, kind: type[Tensor]) -> Tensor:
 def pictures_of(image: Any) -> Tensor:
     """The pictures of an image or a batch (Bx3xHxW), as a plain tensor."""
     if not isinstance(image, Tensor) or image.dtype != torch.uint8:
-        checks.floating("image", image, "; or uint8")
+        checks.floating("image", image, "; or uint8; several in a list")
     checks.picture("image", image, 3)
     plain = typed(image, Tensor)
     return plain if plain.ndim == 4 else plain[None]

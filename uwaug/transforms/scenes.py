@@ -89,10 +89,16 @@ class Scenes(NamedTuple):
         scene = dict(zip(self.chosen, self.scenes, strict=True)).get(picture)
         return scene and scene.clarity
 
-    def truth(self, picture: int = 0) -> Truth | None:
-        """What water and camera did to one of the pictures; None if it is left alone."""
-        if not 0 <= picture < len(self.pictures):
-            raise IndexError(f"picture must be 0…{len(self.pictures) - 1}, got {picture}")
+    def truth(self, picture: int | None = None) -> Truth | None:
+        """What water and camera did to the picture, or to one of a batch; None if it is left alone.
+        ValueError if a batch is asked without a number.
+        """
+        count = len(self.pictures)
+        if picture is None and count > 1:
+            raise ValueError(f"truth is of one picture: give 0…{count - 1}")
+        picture = picture or 0
+        if not 0 <= picture < count:
+            raise IndexError(f"picture must be 0…{count - 1}, got {picture}")
         if picture not in self.chosen:
             return None
         i = list(self.chosen).index(picture)
