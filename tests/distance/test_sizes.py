@@ -123,5 +123,5 @@ def test_it_is_said_once() -> None:
 
 @pytest.mark.parametrize("size", [(H, W - 20), (W, H), (0, 0)])
 def test_another_aspect_is_refused(size: tuple[int, int]) -> None:
-    with pytest.raises(ValueError, match=r"or their ratio: (crop both alike|turn it, too, as EXIF has)"):
+    with pytest.raises(ValueError, match=r"or their ratio: (crop both|turn it)"):
         RandomUnderwater("3C")(torch.rand(3, H, W), torch.ones(1, *size))
