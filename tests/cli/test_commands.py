@@ -618,6 +618,17 @@ def test_pictures_that_exif_turns_are_told_where_maps_or_labels_are(folder, run,
     assert (code, told in out) == (0, False)
 
 
+def test_maps_among_pictures_are_doubted(folder, run):
+    (folder / "all/d").mkdir(parents=True)
+    Image.new("RGB", (60, 40), (90, 60, 30)).save(folder / "all/a.png")
+    line = ("degrade", "all", "--workers", "1", "--distance", "2", "--out")
+    assert "unlike others" not in run(*line, "alone")[1]
+    Image.fromarray(np.full((40, 60), 3000, np.uint16)).save(folder / "all/d/a.png")
+    code, out, _ = run(*line, "both")
+    assert (code, "d/a.png is grey and of 16 bits, unlike others: a map?" in out) == (0, True)
+    assert "unlike others" not in run("degrade", "all/d", *line[2:], "grey")[1]
+
+
 def test_the_view_that_exif_says_is_offered(folder, run):
     exif = Image.Exif()
     exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: 35}
