@@ -5,6 +5,7 @@ torch's global generator, and gives pictures back. All arms then see through the
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from io import BytesIO
 from typing import Any
 
@@ -70,11 +71,11 @@ def slurpp_2025(images: Tensor, distances: Tensor) -> Tensor:
 
 
 def _published(name: str, images: Tensor, distances: Tensor) -> Tensor:
+    system = partial(uwaug.published.system(name), generator=torch.default_generator)
     degraded = []
     for image, distance in zip(images, distances, strict=True):
         water = TYPES[int(torch.randint(len(TYPES), ()))]
-        random = {"generator": torch.default_generator}
-        degraded.append(uwaug.published.system(name)(image, distance, water, **random))
+        degraded.append(system(image, distance, water))
     return torch.stack(degraded)
 
 

@@ -181,16 +181,11 @@ def measured(
         "clear": (of_film, contrast >= FAINT),
         "green": (of_green, contrast >= 0),
     }
-    often = resampled_units([tag.block for tag in tags])
-    weights = np.concatenate([np.ones_like(often[:1]), often])
-    tables = {}
+    weights, tables = weights_of([tag.block for tag in tags]), {}
     for part, (right, inside) in parts.items():
-        counts = np.maximum(weights[:, inside].sum(1), 1e-9)
-        scores = {
-            arm: np.stack([weights[:, inside] @ net[inside] / counts for net in of])
-            for arm, of in right.items()
-        }
-        tables[part] = compared(scores, DEFAULTS if DEFAULTS in scores else "OpenCV")
+        those = {arm: [net[inside] for net in of] for arm, of in right.items()}
+        reference = DEFAULTS if DEFAULTS in right else "OpenCV"
+        tables[part] = table(those, weights[:, inside], reference)
     tag_counts = {part: int(inside.sum()) for part, (_, inside) in parts.items()}
     how = {"steps": STEPS, "rate": RATE, "scenes": len(scenes[0]), "faint": FAINT}
     return {**how, "tags": tag_counts, "tables": tables, "air": in_air}
@@ -203,11 +198,30 @@ def green(crops: Array) -> Array:
     return np.repeat((255 * grey.clip(0, 1)).round().astype(np.uint8)[..., None], 3, 3)
 
 
+def seen(picture: Array, tags: Sequence[Tag]) -> tuple[Array, Array]:
+    """A frame at the size at which nets see it, and squares around its tags."""
+    scale = SIZE[0] / picture.shape[1]
+    small = cv2.resize(picture, SIZE, interpolation=cv2.INTER_AREA)
+    return small, squares(scale * np.array([tag.quad for tag in tags]))
+
+
 def crops_of(picture: Array, tags: Sequence[Tag]) -> list[Array]:
     """Of the tags of a frame."""
-    small = cv2.resize(picture, SIZE, interpolation=cv2.INTER_AREA)
-    scale = SIZE[0] / picture.shape[1]
-    return [crop(small, square) for square in squares(scale * np.array([t.quad for t in tags]))]
+    small, places = seen(picture, tags)
+    return [crop(small, square) for square in places]
+
+
+def table(right: dict[str, list[Array]], weights: Array, reference: str) -> dict[str, Any]:
+    """Shares of tags that nets read rightly, by weights: all tags first, then resamples."""
+    counts = np.maximum(weights.sum(1), 1e-9)
+    shares = {arm: np.stack([weights @ net / counts for net in of]) for arm, of in right.items()}
+    return compared(shares, reference)
+
+
+def weights_of(blocks: Sequence[str]) -> Array:
+    """Weights of tags: all of them first, then in resamples of their blocks."""
+    often = resampled_units(blocks)
+    return np.concatenate([np.ones_like(often[:1]), often])
 
 
 def choose(kit: Any, folder: Path) -> None:

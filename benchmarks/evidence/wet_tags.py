@@ -9,9 +9,7 @@ The other way, from boards in air to the film, is told by `benchmarks.evidence.m
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -20,7 +18,7 @@ from benchmarks.evidence import readers
 from benchmarks.evidence.arms import none
 from benchmarks.evidence.detector import Scene, module, parser
 from benchmarks.evidence.markers import film_of
-from benchmarks.evidence.net import compared, keeper, logits, resampled_units, trained
+from benchmarks.evidence.net import keeper, logits, trained
 from benchmarks.evidence.tasks import Array, made_up
 from benchmarks.evidence.waters import AS_THEY_ARE, HOME, ON_TOP, halves
 from benchmarks.harness import save
@@ -33,11 +31,9 @@ def learnt_of(frames: Sequence[tuple[Array, list[readers.Tag]]]) -> list[Scene]:
     """Frames with squares around their tags."""
     scenes = []
     for picture, tags in frames:
-        small = cv2.resize(picture, readers.SIZE, interpolation=cv2.INTER_AREA)
-        quads = readers.SIZE[0] / picture.shape[1] * np.array([tag.quad for tag in tags])
-        image = torch.from_numpy(small).permute(2, 0, 1) / 255
+        small, squares = map(torch.from_numpy, readers.seen(picture, tags))
         names = torch.tensor([tag.name for tag in tags])
-        scenes.append(Scene(image, torch.from_numpy(readers.squares(quads)), names))
+        scenes.append(Scene(small.permute(2, 0, 1) / 255, squares, names))
     return scenes
 
 
@@ -51,17 +47,6 @@ def asked(arm: str, scenes: list[Scene], shown: list[Array], crops: Tensor, seed
     pictures, names = torch.cat([dry, wet]), torch.cat([of_dry, of_wet])
     shape = readers.IDS, readers.STEPS, seed, readers.RATE, readers.PLACES
     return logits(trained(pictures, names, *shape, readers.turned), crops).argmax(1).numpy()
-
-
-def table(right: dict[str, list[Array]], blocks: Sequence[str]) -> dict[str, Any]:
-    """Shares that nets read, with intervals over blocks."""
-    often = resampled_units(blocks)
-    weights = np.concatenate([np.ones_like(often[:1]), often])
-    counts = np.maximum(weights.sum(1), 1e-9)
-    scores = {
-        arm: np.stack([weights @ net / counts for net in nets]) for arm, nets in right.items()
-    }
-    return compared(scores, AS_THEY_ARE)
 
 
 def main(folder: Path, arms: Sequence[str], nets: int, answered: Path | None) -> None:
@@ -97,7 +82,10 @@ def main(folder: Path, arms: Sequence[str], nets: int, answered: Path | None) ->
                     right[test].setdefault(arm, []).append(read == truth[test])
                 shares = (f"{test} {right[test][arm][-1].mean():.3f}" for test in truth)
                 print(f"{arm}, {seed}:", *shares, flush=True)
-    tables = {test: table(right[test], blocks[test]) for test in truth}
+    tables = {
+        test: readers.table(right[test], readers.weights_of(blocks[test]), AS_THEY_ARE)
+        for test in truth
+    }
     counts = {test: len(of_tags) for test, of_tags in truth.items()}
     save("wet_tags", {"nets": nets, "steps": readers.STEPS, "tags": counts, "tables": tables})
 

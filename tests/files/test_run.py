@@ -489,6 +489,3 @@ def test_killed_and_resumed() -> None:
     assert set(re.findall("skipped|written|failed", lines)) == {"skipped", "written"}
     whole.pop("index.csv")
     assert found == whole
-
-
-# On Ray

@@ -209,6 +209,11 @@ def test_a_table_is_read() -> None:
     assert read_table("ds/metadata.csv") == [Row("1.png", Path("ds/1.png"))]
 
 
+def test_a_depth_beside_distances_is_left_alone() -> None:
+    Path("t.csv").write_text("picture,distance,depth\n1.png,1.npy,12\n")
+    assert read_table("t.csv") == [Row("1.png", Path("1.png"), Path("1.npy"))]
+
+
 def test_names_are_paths_below_the_table_or_below_what_holds_all_pictures() -> None:
     Path("ds").mkdir()
     Path("ds/t.csv").write_text("picture\nx/1.png\n../ds/y/2.png\n")
@@ -223,6 +228,7 @@ def test_names_are_paths_below_the_table_or_below_what_holds_all_pictures() -> N
         ("", "expected a column picture"),
         ("picture,Distances\n1.png,1.npy\n", "expected a column distance, .* got distances"),
         ("picture,depth\n1.png,1.npy\n", "expected a column distance, .* got depth"),
+        ("picture,split,splits\n1.png,val,val\n", "expected a column split, .* got splits"),
         ("image,depth\n1.png,1.npy\n", "expected a column picture, .* got image, depth"),
         ("picture\n", "and rows below it, got picture"),
         ("picture,distance\n1.png\n", "line 2: has 1 cells and the first line 2"),

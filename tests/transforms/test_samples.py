@@ -163,6 +163,12 @@ def test_a_target_stays_as_it_is_and_a_third_picture_is_refused() -> None:
             aug(sample)
 
 
+def test_maps_beside_a_list_that_reads_none_stay_as_they_are() -> None:
+    wet, maps = RandomUnderwater("II", distance=3.0)(CROPS, CROPS_Z)
+    assert maps is CROPS_Z
+    assert not any(map(torch.equal, wet, CROPS))
+
+
 def test_refused_lists() -> None:
     aug, ready = RandomUnderwater("II"), RandomUnderwater("II", distance=3.0)
     for call, message in (

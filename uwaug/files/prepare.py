@@ -53,12 +53,11 @@ def prepare(
         (((film_mm, focal_px), name),) = lengths.items()
         said = f"EXIF says {film_mm:g} mm on film of 35 mm, as of {name}: --focal-px {focal_px}"
         sentences.append(f"{said} would take it; without, the view is {WIDE_DEGREES:g}° wide")
-    deep = [
-        s.name for s in samples if s.image.is_floating_point() and (s.image == s.image[:1]).all()
-    ]
-    if 0 < len(deep) < len(samples):
+    fine = (sample for sample in samples if sample.image.is_floating_point())
+    grey = [sample.name for sample in fine if (sample.image == sample.image[:1]).all()]
+    if 0 < len(grey) < len(samples):
         cure = "a map? Then give its folder as --distance, and that of pictures alone"
-        sentences.append(f"{deep[0]} is grey and of 16 bits, unlike others: {cure}")
+        sentences.append(f"{grey[0]} is grey and of 16 bits, unlike others: {cure}")
     reasons = [sample.reason for sample in samples if sample.reason]
     if 2 * len(reasons) > len(samples):
         raise ValueError("; ".join([reasons[0], *sentences]))

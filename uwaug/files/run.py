@@ -1,4 +1,4 @@
-"""Runs over folders, by processes or Ray, with a record beside each result and an index of all."""
+"""Runs over folders, by processes, with a record beside each result and an index of all."""
 
 import json
 import os

@@ -23,7 +23,7 @@ SPLITS = {
     **dict.fromkeys(("val", "valid", "validation"), "val"),
     **dict.fromkeys(("test", "testing"), "test"),
 }
-_NOT_COLUMNS = {"depth": "distance", "map": "distance", "mask": "labels", "boxes": "labels"}
+_SYNONYMS = {"depth": "distance", "map": "distance", "mask": "labels", "boxes": "labels"}
 
 _FIELD = re.compile(r"\{(\w*)\}")
 _NUMBER = re.compile(r"(\d+\.\d{3,}|\d+)")  # a whole one, or a time in seconds
@@ -81,9 +81,10 @@ def read_table(path: str | Path) -> list[Row]:
     if "picture" not in header or len(lines) < 2:
         got = ", ".join(header)
         raise ValueError(f"{path}: expected a column picture, and rows below it, got {got}")
+    synonyms = {word: name for word, name in _SYNONYMS.items() if name not in header}
     for column in {*header} - {*Row._fields}:
-        near = [_NOT_COLUMNS.get(column), *get_close_matches(column, Row._fields, 1, 0.8)]
-        if meant := next((name for name in near if name and name not in header), ""):
+        if near := get_close_matches(column, [*Row._fields, *synonyms], 1, 0.8):
+            meant = synonyms.get(near[0], near[0])
             raise ValueError(f"{path}: expected a column {meant}, or another name, got {column}")
     rows = []
     for number, cells in lines[1:]:

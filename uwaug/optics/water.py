@@ -40,6 +40,7 @@ CONTRAST_THRESHOLD = 0.02  # the contrast at which an object is no longer seen (
 
 _VISIBLE_NM = (400.0, 700.0)
 _RED_NM = (580.0, 800.0)  # where any water absorbs about as pure water does, or more
+_LEAST_SHARE = 0.5  # of pure water's absorption there, below which a table is doubted
 _BIO_OPTICAL = (
     "a, b, K_d: bio-optical model of Bricaud et al. 1998, Loisel & Morel 1998, Haltrin 1999, Babin "
     "et al. 2003 and Kirk 1984"
@@ -410,15 +411,22 @@ def _read_csv(path: Path) -> Water:
         water = Water(*columns, name=path.stem, provenance=sources)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    is_red = (water.wavelengths >= _RED_NM[0]) & (water.wavelengths <= _RED_NM[1])
-    if is_red.any():
-        red, absorbed = water.wavelengths[is_red], water.a[is_red]
-        least = pure_water(red.tobytes())[0]
-        if (absorbed < 0.5 * least).any():
-            given = f"a is {absorbed[-1]:.3g} at {red[-1]:g} nm, pure water's {least[-1]:.3g} 1/m"
-            cure = "in 1/cm, times 100; of contents alone, add that of water"
-            warnings.warn(f"{path}: {given}: {cure}", stacklevel=3)
+    _doubt(water, path)
     return water
+
+
+def _doubt(water: Water, path: Path) -> None:
+    """Warn of a table that absorbs less than pure water does where any water absorbs as much."""
+    is_red = (water.wavelengths >= _RED_NM[0]) & (water.wavelengths <= _RED_NM[1])
+    if not is_red.any():
+        return
+    red, absorbed = water.wavelengths[is_red], water.a[is_red]
+    least = pure_water(red.tobytes())[0]
+    place = (absorbed / least).argmin()
+    if absorbed[place] < _LEAST_SHARE * least[place]:
+        given = f"a is {absorbed[place]:.3g} at {red[place]:g} nm"
+        cure = "in 1/cm, times 100; of contents alone, add that of water"
+        warnings.warn(f"{path}: {given}, pure water's {least[place]:.3g} 1/m: {cure}", stacklevel=4)
 
 
 @compiled

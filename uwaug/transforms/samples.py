@@ -54,9 +54,7 @@ def take_apart(
     if "torchvision.tv_tensors" in sys.modules and [*_images(image, "image")]:
         others += [f"{name} is a second picture" for name in _images(restore(None), "sample")]
     if others:
-        cure = (
-            "call it on the first alone; or a batch is a list; transform takes one record for both"
-        )
+        cure = "keep it out of the call; a batch is a list; `transform` takes one record for both"
         raise ValueError(f"{others[0]}, which would stay dry: {cure}")
     return image, distance, restore
 
