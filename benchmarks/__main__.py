@@ -19,6 +19,7 @@ PARTS = {
     "fitting_recovery": "accuracy",
     "conditions": "accuracy",
     "like": "accuracy",
+    "runtimes": "accuracy",
     "training": "evidence",
     "throughput": "speed",
     "draw": "speed",

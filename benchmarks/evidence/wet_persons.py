@@ -65,7 +65,9 @@ def directions(bench: Bench) -> dict[str, tuple[Bench, Bench]]:
     }
 
 
-def asked(whole: Bench, learnt: Bench, bench: Bench, arm: str, seed: int) -> dict[str, Array]:
+def asked(
+    whole: Bench, learnt: Bench, bench: Bench, arm: str, seed: int, steps: int
+) -> dict[str, Array]:
     """What a net finds that has been tuned on pictures as they are and with an arm on top."""
     torch.manual_seed(seed)
     scenes = scenes_of([*chain(*learnt.tests.values())])
@@ -76,11 +78,11 @@ def asked(whole: Bench, learnt: Bench, bench: Bench, arm: str, seed: int) -> dic
     on_top = ON_TOP[PRESET if arm == AND_AIR else arm](whole.shown)
     drawn = degraded(none, scenes, maps[: len(scenes)]) + degraded(on_top, scenes, maps)
     net = whole.yolox.load().to(memory_format=torch.channels_last)
-    tuned(net, drawn, len(scenes), RATE, seed, STEPS)
+    tuned(net, drawn, len(scenes), RATE, seed, steps)
     return bench.found(net)
 
 
-def main(kit: Path, arms: Sequence[str], nets: int, answered: Path | None) -> None:
+def main(kit: Path, arms: Sequence[str], nets: int, answered: Path | None, steps: int) -> None:
     """Tune, score, save and print."""
     torch.set_num_threads(1)
     whole, tables = Bench.of(kit), dict[str, Any]()
@@ -88,8 +90,8 @@ def main(kit: Path, arms: Sequence[str], nets: int, answered: Path | None) -> No
         for title, (learnt, bench) in directions(whole).items():
             answers = {UNTUNED: [bench.found(whole.yolox.load())]}
             for arm, seed in product(arms, range(nets)):
-                path = folder / f"{title}, {arm}, {seed}.npz"
-                of_net = bench.kept(path, partial(asked, whole, learnt, bench, arm, seed))
+                path = folder / f"{title}, {arm}, {steps} steps, {seed}.npz"
+                of_net = bench.kept(path, partial(asked, whole, learnt, bench, arm, seed, steps))
                 answers.setdefault(arm, []).append(of_net)
             for name in bench.tests:
                 rows = bench.table(name, answers, AS_THEY_ARE)
@@ -97,9 +99,11 @@ def main(kit: Path, arms: Sequence[str], nets: int, answered: Path | None) -> No
                 for arm, row in rows.items():
                     low, high = row["blocks"]
                     print(f"{title} → {name} {arm:32}{row['score']:.3f} ({low:+.3f} … {high:+.3f})")
-    save("wet_persons", {"steps": STEPS, "nets": nets, "tables": tables})
+    save("wet_persons", {"steps": steps, "nets": nets, "tables": tables})
 
 
 if __name__ == "__main__":
-    given = parser(__doc__, ARMS).parse_args()
-    main(given.kit, given.arms, given.nets, given.answered)
+    flags = parser(__doc__, ARMS)
+    flags.add_argument("--steps", type=int, default=STEPS, help="of tuning")
+    given = flags.parse_args()
+    main(given.kit, given.arms, given.nets, given.answered, given.steps)
