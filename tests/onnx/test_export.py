@@ -35,6 +35,13 @@ CLEAR = Underwater(MEDIUM, (1.0, 5.0))  # without a blur, as to export each take
 LIGHT = Light([Lamp((0.3, -0.2, 0.0), power=40.0, aim=(-0.05, 0.05, 1.0), cone=40.0)], pitch=10.0)
 
 
+def with_shapes(path: Path) -> "onnx.ModelProto":
+    """A file with the shapes that ONNX Runtime's symbolic inference finds."""
+    from onnxruntime.tools.symbolic_shape_infer import SymbolicShapeInference
+
+    return SymbolicShapeInference.infer_shapes(onnx.load(path), auto_merge=True)
+
+
 @pytest.mark.parametrize("name", ["frozen", "waters"])
 def test_files_agree_with_float64_eager(request, name) -> None:
     path, module = request.getfixturevalue(name)
@@ -128,7 +135,9 @@ def half_of(path: Path) -> OnnxUnderwater:
 
 @pytest.mark.parametrize(("coefficients", "space"), [(False, "srgb"), (True, "linear")])
 def test_a_file_with_a_lamp(tmp_path, coefficients, space) -> None:
-    medium = Medium.from_water("7C", vertical_depth=10.0, point_spread=PointSpread.none())
+    of_water = {"vertical_depth": 10.0, "point_spread": PointSpread.none()}
+    surfaces = "spectral" if coefficients else "grey"
+    medium = Medium.from_water("7C", surfaces=surfaces, **of_water)
     lit = {"light": LIGHT, "development": Development(metered=space == "srgb")}
     module = Underwater(medium, (NEAR, FAR), COARSE, space, sides=(1, 144), **lit)
     path = export_onnx(module, tmp_path / "lamp.onnx", coefficients=coefficients)
@@ -142,6 +151,7 @@ def test_a_file_with_a_lamp(tmp_path, coefficients, space) -> None:
         with pytest.raises(ValueError, match="light: the file takes none"):
             run(image, distance, light=LIGHT)
         return
+    with_shapes(path)
     lamp = replace(LIGHT.lamps[0], power=1.5, color=(1.0, 0.7, 0.4))
     other = Medium.from_water("II", point_spread=PointSpread.none())
     for light in (LIGHT, Light([lamp], pitch=-25.0), Light([replace(lamp, power=0.0)], pitch=0.0)):
@@ -175,11 +185,9 @@ def test_rows_for_another_language_are_what_a_file_takes(waters) -> None:
 def test_other_tools_of_the_runtime_follow_a_file(request, tmp_path, name) -> None:
     """Its symbolic inference of shapes, and what prepares a file for quantisation."""
     from onnxruntime.quantization.shape_inference import quant_pre_process
-    from onnxruntime.tools.symbolic_shape_infer import SymbolicShapeInference
 
     path, module = request.getfixturevalue(name)
-    inferred = SymbolicShapeInference.infer_shapes(onnx.load(path), auto_merge=True)
-    assert len(inferred.graph.value_info) > 100
+    assert len(with_shapes(path).graph.value_info) > 100
     quant_pre_process(path, tmp_path / "prepared.onnx")
     medium = module.medium[0] if len(module.medium) > 1 else None
     outputs = [
